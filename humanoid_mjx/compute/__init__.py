@@ -2,7 +2,7 @@
 
 from humanoid_mjx.compute.compiles import counting_compiles
 from humanoid_mjx.compute.limits import available_memory, cores, out_of_memory, reserve_memory, why_no_kernel
-from humanoid_mjx.compute.options import XLA_FLAGS, Arithmetic, Options, Program, compiler_options
+from humanoid_mjx.compute.options import XLA_FLAGS, Arithmetic, Options, Program, compiler_options, jitted
 from humanoid_mjx.compute.provenance import commit, machine, made_by, versions
 from humanoid_mjx.compute.settings import POOL_THREADS, check_settings, look_for_garbage_seldom, make_room, start
 
@@ -18,6 +18,7 @@ __all__ = [
     "compiler_options",
     "cores",
     "counting_compiles",
+    "jitted",
     "look_for_garbage_seldom",
     "machine",
     "made_by",

@@ -5,14 +5,14 @@ rest. An option that this version of XLA does not know is left out with a warnin
 """
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 
-from humanoid_mjx.kernels.fallback import none_for
+from humanoid_mjx.kernels.fallback import none_for, with_fallback
 
 Arithmetic = Literal["scalars", "tree", "arrays"]
 """Arithmetic of a task: scalars of many worlds (finite tasks, the chain), the tree's scalars, or arrays (MJX)."""
@@ -125,6 +125,14 @@ def compiler_options(arithmetic: Arithmetic, program: Program = "simulation", ev
     if every_device and backend == "cpu" and jax.local_device_count() > 1 and PASSES in options:
         options[PASSES] = f"{options[PASSES]},{SPLITTING}"
     return dict(_known(tuple(options.items()), backend))
+
+
+def jitted(function: Callable[..., Any], arithmetic: Arithmetic, program: Program = "simulation") -> Callable[..., Any]:
+    """`jax.jit` with these `compiler_options`; compiled again, with others, where a kernel cannot be made.
+
+    The options are looked up at each call, and jax compiles once for each.
+    """
+    return with_fallback(lambda *args: jax.jit(function, compiler_options=compiler_options(arithmetic, program))(*args))
 
 
 @lru_cache

@@ -15,9 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from humanoid_mjx.compute import Arithmetic, Program, compiler_options, rng
+from humanoid_mjx.compute import Arithmetic, Program, jitted, rng
 from humanoid_mjx.evaluation.policy import Trained
-from humanoid_mjx.kernels.fallback import with_fallback
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import AGENTS, Episode, agent, rollout
 from humanoid_mjx.runs.statistics import Evaluation, estimated
@@ -78,5 +77,4 @@ def _program(arithmetic: Arithmetic, program: Program) -> Callable[..., Episode]
         return rollout(learner.env, agent(learner, policy, number), key, discount)
 
     many = jax.vmap(episode, in_axes=(None, None, None, 0))
-    # The options are looked up at each call: without kernels they are others. jax compiles once for each.
-    return with_fallback(lambda *args: jax.jit(many, compiler_options=compiler_options(arithmetic, program))(*args))
+    return jitted(many, arithmetic, program)

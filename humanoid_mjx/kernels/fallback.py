@@ -37,8 +37,7 @@ def none_for(backend: str) -> bool:
         try:
             importlib.import_module("llvmlite.binding")
         except Exception as error:
-            warn(error)
-            _given_up.append(reasons[-1])
+            _given_up.append(warn(error))
     return bool(_given_up)
 
 
@@ -47,11 +46,11 @@ _again: ContextVar[bool] = ContextVar("_again", default=False)
 
 
 class NoKernelError(Exception):
-    """A kernel could not be made; the program is traced again without kernels."""
+    """A kernel could not be made, for the reason given; the program is traced again without kernels."""
 
 
-def warn(error: BaseException) -> None:
-    """Warn, once for each reason, that XLA computes what a kernel would."""
+def warn(error: BaseException) -> str:
+    """Warn, once for each reason, that XLA computes what a kernel would; return the reason."""
     words = (str(error).strip() or "no message").splitlines()[0]
     reason = f"{type(error).__name__}: {words}"[:200]
     if reason not in reasons:
@@ -61,6 +60,7 @@ def warn(error: BaseException) -> None:
             reason,
             SLOWER.get(jax.default_backend(), "several times"),
         )
+    return reason
 
 
 def by_xla_instead(error: Exception) -> None:
@@ -71,10 +71,10 @@ def by_xla_instead(error: Exception) -> None:
     Raises:
       NoKernelError: the program should be traced and compiled again, with these options.
     """
-    warn(error)
+    reason = warn(error)
     if _again.get():
-        raise NoKernelError from error
-    _given_up.append(reasons[-1])
+        raise NoKernelError(reason) from error
+    _given_up.append(reason)
 
 
 def give_up(error: BaseException) -> bool:
@@ -85,11 +85,10 @@ def give_up(error: BaseException) -> bool:
     """
     if _given_up:
         return False
-    if not isinstance(error, NoKernelError):
-        if not any(word in f"{type(error).__name__} {error}".lower() for word in WORDS):
-            return False
-        warn(error)
-    _given_up.append(reasons[-1])
+    said = isinstance(error, NoKernelError)
+    if not said and not any(word in f"{type(error).__name__} {error}".lower() for word in WORDS):
+        return False
+    _given_up.append(str(error) if said else warn(error))
     jax.clear_caches()
     return True
 

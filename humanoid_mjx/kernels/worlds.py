@@ -71,11 +71,13 @@ def one_world(function: Callable[..., Any], *static: Any) -> Callable[..., Any]:
     """
     written = jax.jit(partial(function, *static))  # lowered once however often a program calls it
 
-    def call(*args: Any) -> Any:
-        found = written(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
-        return jax.tree.map(lambda x: x[..., 0] if jnp.ndim(x) else jnp.asarray(x), found)
+    return lambda *args: _alone(written, args)
 
-    return call
+
+def _alone(function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+    """Call a function of arrays with a last axis of worlds for one world, whose arrays have none."""
+    found = function(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
+    return jax.tree.map(lambda x: x[..., 0] if jnp.ndim(x) else jnp.asarray(x), found)
 
 
 @lru_cache
@@ -88,15 +90,13 @@ def one_kernel(function: Callable[..., Any], *static: Any, lanes: int = 1) -> Ca
     written, on_cpu = jax.jit(partial(function, *static)), jax.default_backend() == "cpu"
     kernel = jax.jit(partial(cpu_kernel, written) if on_cpu else partial(gpu_kernel, written, lanes=lanes))
     by_xla = jax.vmap(one_world(function, *static), in_axes=-1, out_axes=-1)
-    failed: list[Exception] = []
 
     def computed(*args: Any) -> Any:
         alone = jax.tree.leaves(args)[0].shape[-1] == 1
-        if not failed and (on_cpu or not alone):
+        if not fallback.given_up() and (on_cpu or not alone):
             try:
                 return kernel(*args)
             except Exception as error:  # whatever it is, XLA does not need it
-                failed.append(error)
                 fallback.by_xla_instead(error)
         return by_xla(*args)
 
@@ -112,10 +112,6 @@ def worlds_last(function: Callable[..., Any], *static: Any, contiguous: bool = F
     """
     written = partial(function, *static)
 
-    def single(*args: Any) -> Any:
-        found = written(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
-        return jax.tree.map(lambda x: x[..., 0], found)
-
     many = custom_vmap(written)
 
     @many.def_vmap
@@ -129,7 +125,7 @@ def worlds_last(function: Callable[..., Any], *static: Any, contiguous: bool = F
         found = jax.tree.map(lambda x: jnp.moveaxis(x.reshape(*x.shape[:-1], runs, -1), -2, 0), found)
         return found, jax.tree.map(lambda _: True, found)
 
-    batched = custom_vmap(single)
+    batched = custom_vmap(lambda *args: _alone(written, args))
 
     @batched.def_vmap
     def _(worlds: int, batched: Any, *args: Any) -> tuple[Any, Any]:

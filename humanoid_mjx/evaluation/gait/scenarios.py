@@ -13,12 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from humanoid_mjx.compute import Arithmetic, compiler_options
+from humanoid_mjx.compute import Arithmetic, jitted
 from humanoid_mjx.evaluation.evaluate import held_out_keys
 from humanoid_mjx.evaluation.gait import tally as sums
 from humanoid_mjx.evaluation.gait.figures import FIGURES, Gait, figures, summarised
 from humanoid_mjx.evaluation.gait.tally import Asked, Tally, heading_of, sample_of, wrapped
-from humanoid_mjx.kernels.fallback import with_fallback
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import AGENTS, agent, decision_keys, start
 from humanoid_mjx.physics.base import World
@@ -180,8 +179,7 @@ def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
 
     for mapped in ([4], [3], [1, 2], [0]):
         episode = jax.vmap(episode, in_axes=tuple(0 if place in mapped else None for place in range(6)))
-    # As in `evaluate`: the options are looked up at each call.
-    return with_fallback(lambda *args: jax.jit(episode, compiler_options=compiler_options(arithmetic))(*args))
+    return jitted(episode, arithmetic)
 
 
 def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:

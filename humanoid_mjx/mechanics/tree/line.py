@@ -52,17 +52,17 @@ def lowest_share(
     pushing, pushed = _pushing(tree, problem, slots, active, before, after)
     rubbing, (most, up, down) = _rubbing(tree, problem, active, before, after)
     push, rub = (rows.weight * rows.slope for rows in (pushing, rubbing))
-    held = _sum(tree, jnp.where(pushed, push * pushing.slope, 0.0))
-    whole = curve + held + _sum(tree, jnp.where(up | down, 0.0, rub * rubbing.slope))
+    held = _sum(jnp.where(pushed, push * pushing.slope, 0.0))
+    whole = curve + held + _sum(jnp.where(up | down, 0.0, rub * rubbing.slope))
 
     def derivatives(share: Any) -> tuple[Any, Any]:
         residual, force = pushing.at(share), rubbing.weight * rubbing.at(share)
         pushes, sticks = residual < 0.0, jnp.abs(force) < most
-        first = _sum(tree, jnp.where(pushes == pushed, 0.0, jnp.where(pushes, push, -push) * residual))
+        first = _sum(jnp.where(pushes == pushed, 0.0, jnp.where(pushes, push, -push) * residual))
         was = jnp.where(up, most, jnp.where(down, -most, force))
-        first = first + _sum(tree, (jnp.clip(force, -most, most) - was) * rubbing.slope)
-        second = curve + _sum(tree, jnp.where(pushes, push * pushing.slope, 0.0))
-        second = second + _sum(tree, jnp.where(sticks, rub * rubbing.slope, 0.0))
+        first = first + _sum((jnp.clip(force, -most, most) - was) * rubbing.slope)
+        second = curve + _sum(jnp.where(pushes, push * pushing.slope, 0.0))
+        second = second + _sum(jnp.where(sticks, rub * rubbing.slope, 0.0))
         return first + (share - 1.0) * whole, second
 
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -162,5 +162,5 @@ def _together(found: Sequence[tuple[Any, ...]], types: Sequence[type], tree: Tre
     return [rows(part, kind) for part, kind in zip(parts, types, strict=True)]
 
 
-def _sum(tree: Tree, rows: Float[Array, "rows lanes 1"]) -> Float[Array, " 1"]:
+def _sum(rows: Float[Array, "rows lanes 1"]) -> Float[Array, " 1"]:
     return rows.sum(axis=0).sum(axis=0)

@@ -64,7 +64,7 @@ def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any])
         now = packed(active_at(tree, problem, x)._replace(pairs=pairs))
         values = [jnp.where(settled, old, v.value) for old, v in zip(before, x, strict=True)]
         errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE)
-        settled = settled | ~_differ(tree, flags, now) | _same(tree, before, values, errors)
+        settled = settled | ~_differ(flags, now) | _same(before, values, errors)
         often = (count % 2 == 0) | (count >= PATIENCE)
         shorter = count >= WHOLE_DRY if problem.slips else (count >= WHOLE) & often
 
@@ -107,19 +107,19 @@ def _shortened(
     return values, active_at(tree, problem, found)._replace(pairs=slots.active(tree, found) if slots else [])
 
 
-def _differ(tree: Tree, one: Any, two: Any) -> Any:
+def _differ(one: Any, two: Any) -> Any:
     """Whether flags, or words of flags, differ."""
-    return _in_any_lane(tree, jnp.logical_or, [a != b for a, b in zip(*map(jax.tree.leaves, (one, two)), strict=True)])
+    return _in_any_lane(jnp.logical_or, [a != b for a, b in zip(*map(jax.tree.leaves, (one, two)), strict=True)])
 
 
-def _same(tree: Tree, one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:
+def _same(one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:
     """Whether two accelerations are the same but for so many rounding errors."""
-    change = _in_any_lane(tree, jnp.maximum, [jnp.abs(a - b) for a, b in zip(one, two, strict=True)])
-    size = _in_any_lane(tree, jnp.maximum, [jnp.abs(b) for b in two])
+    change = _in_any_lane(jnp.maximum, [jnp.abs(a - b) for a, b in zip(one, two, strict=True)])
+    size = _in_any_lane(jnp.maximum, [jnp.abs(b) for b in two])
     return change <= errors * jnp.finfo(change.dtype).eps * size
 
 
-def _in_any_lane(tree: Tree, combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:
+def _in_any_lane(combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:
     """A value of the world from those that may have axes of contacts and of lanes, which are combined last."""
     found = dict[tuple[int, ...], Any]()
     for value in values:
