@@ -16,9 +16,9 @@ from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree.step import accelerate, advance, folded, make_state, motor_forces
 from humanoid_mjx.mechanics.tree.structure import Tree
 
-BALLS, BLOCK, HOPPER, PLANAR, QUADRUPED, SHAPES, SWING, UNEQUAL = (
+BALLS, BLOCK, FOUR_LEGS, HOPPER, PLANAR, QUADRUPED, SHAPES, SWING, UNEQUAL = (
     (Path(__file__).parent / "data" / f"{name}.xml").read_text()
-    for name in ("balls", "block", "hopper", "planar", "quadruped", "shapes", "swing", "unequal")
+    for name in ("balls", "block", "four_legs", "hopper", "planar", "quadruped", "shapes", "swing", "unequal")
 )
 
 

@@ -4,6 +4,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from tree_robots import FOUR_LEGS
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.control import at_rest
@@ -11,30 +12,10 @@ from humanoid_mjx.control.laws import RobotServoLaw
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot import make_robot
 
-FILE = """
-<mujoco>
-  <option timestep="0.002"/>
-  <worldbody>
-    <geom name="floor" type="plane" size="5 5 .1"/>
-    <body name="trunk" pos="0 0 .4">
-      <freejoint/>
-      <geom type="box" size=".2 .08 .05" mass="6"/>
-      <replicate count="2" sep="_" offset="-.36 0 0"><replicate count="2" sep="_" offset="0 -.24 0">
-        <body name="thigh" pos=".18 .12 0">
-          <joint name="hip" axis="0 1 0" range="-80 80" damping=".2" armature=".01"/>
-          <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".5" contype="0" conaffinity="0"/>
-          <body name="calf" pos="0 0 -.2">
-            <joint name="knee" axis="0 1 0" range="-150 10" damping=".2" armature=".01"/>
-            <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".015" mass=".2" contype="0" conaffinity="0"/>
-            <geom name="foot" type="box" size=".03 .02 .01" pos="0 0 -.2" euler="0 35 0" mass=".05"/>
-          </body>
-        </body>
-      </replicate></replicate>
-    </body>
-  </worldbody>
-  ACTUATORS
-</mujoco>
-"""
+FILE = FOUR_LEGS.replace(
+    '<geom name="foot" type="sphere" size=".02" pos="0 0 -.2"',
+    '<geom name="foot" type="box" size=".03 .02 .01" pos="0 0 -.2" euler="0 35 0"',
+).replace("</worldbody>", "</worldbody>ACTUATORS")
 YAML = """
 model: file.xml
 home: {"hip.*": 35, "knee.*": -70}

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from tree_robots import FOUR_LEGS
 
 import humanoid_mjx
 from humanoid_mjx import InputError, make_task
@@ -19,31 +20,6 @@ from humanoid_mjx.physics.native import _team
 from humanoid_mjx.report import page
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.training import cost
-
-BASE = """
-<mujoco>
-  <option timestep="0.002"/>
-  <default/>
-  <worldbody>
-    <geom name="floor" type="plane" size="5 5 .1"/>
-    <body name="trunk" pos="0 0 .4">
-      <freejoint/>
-      <geom name="trunk" type="box" size=".2 .08 .05" mass="6"/>
-      <replicate count="2" sep="_" offset="-.36 0 0"><replicate count="2" sep="_" offset="0 -.24 0">
-        <body name="thigh" pos=".18 .12 0">
-          <joint name="hip" axis="0 1 0" range="-80 80" damping=".2" armature=".01"/>
-          <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".5" contype="0" conaffinity="0"/>
-          <body name="calf" pos="0 0 -.2">
-            <joint name="knee" axis="0 1 0" range="-150 10" damping=".2" armature=".01"/>
-            <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".015" mass=".2" contype="0" conaffinity="0"/>
-            <geom name="foot" type="sphere" size=".02" pos="0 0 -.2" mass=".05"/>
-          </body>
-        </body>
-      </replicate></replicate>
-    </body>
-  </worldbody>
-</mujoco>
-"""
 
 FEET = "feet: [foot_0_0, foot_1_0, foot_0_1, foot_1_1]\n"
 HOME = 'home: {"hip.*": 35, "knee.*": -70}\n'
@@ -84,7 +60,7 @@ def motors(*elements):
 
 
 def robot_of(folder, *pairs, yaml=YAML):
-    (folder / "base.xml").write_text(replaced(BASE, *pairs))
+    (folder / "base.xml").write_text(replaced(FOUR_LEGS, *pairs))
     (folder / "robot.yaml").write_text(yaml)
     return make_robot(str(folder / "robot.yaml"))
 
@@ -247,7 +223,7 @@ def test_ground_that_is_no_level_plane_is_refused(pairs, words, tmp_path):
 )  # fmt: skip
 def test_what_the_two_files_cannot_mean_is_said(pairs, yaml, words, tmp_path):
     with pytest.raises(InputError, match=words):
-        text = replaced(BASE, *pairs)
+        text = replaced(FOUR_LEGS, *pairs)
         (tmp_path / "base.xml").write_bytes(text.encode("latin-1"))
         (tmp_path / "robot.yaml").write_text(yaml)
         make_robot(str(tmp_path / "robot.yaml")).model  # noqa: B018
