@@ -33,6 +33,32 @@ class Falls(JointReach):
 """
 
 
+DIES = """
+import os, signal, sys, time
+from pathlib import Path
+from humanoid_mjx.tasks.joint_reach import JointReach
+from humanoid_mjx.training.chunks import Work
+
+class Dies(JointReach):
+    pass
+
+def keep(self, pool, keep=Work._keep, folder=Path({folder!r})):
+    claimed = pool.progress.mean() > 0.01 and not (folder / "claimed").exists()
+    if claimed:
+        (folder / "claimed").touch()
+        (folder / self.key).touch()
+    keep(self, pool)
+    while claimed and not (folder / "taken").exists():
+        time.sleep(0.01)
+    if claimed:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+if "default_worker" in sys.argv[0]:
+    Work._keep = keep
+"""
+"""A task whose module kills the first worker that has a state, as soon as the driver has it."""
+
+
 @pytest.fixture(scope="module")
 def cluster():
     """The address of a cluster of two workers, bound to loopback."""
@@ -92,23 +118,29 @@ def test_a_chunk_whose_worker_is_killed_goes_to_another_one(cluster, whole, tmp_
     assert_same_tables(run.path, whole)
 
 
-def test_a_lost_chunk_goes_on_from_its_state(cluster, whole, tmp_path, monkeypatch):
-    heard, lost, began, take = Hears(), [], [], Session.take
+def test_a_lost_chunk_goes_on_from_its_state(cluster, tmp_path, monkeypatch):
+    heard, began, take, begin = Hears(), {}, Session.take, OnRay._begin
 
-    def kill(self, event):
+    def taken(self, event):
         take(self, event)
-        if isinstance(event, chunks.State) and event.arrays["progress"].mean() > 0.01 and not lost:
-            lost.append(event.key)
-            for worker in heard.workers:
-                os.kill(worker, signal.SIGKILL)
-        elif isinstance(event, chunks.State) and heard.lost and event.key in lost:
-            began.append(event.arrays["progress"].max())
+        if isinstance(event, chunks.State) and (tmp_path / event.key).exists():
+            (tmp_path / "taken").touch()
 
+    def beginning(self, chunk, desk):
+        states = desk.states(chunks.key_of([chunk]))
+        began.setdefault(chunk.number, []).append(max([arrays["progress"].max() for _, arrays in states], default=0))
+        begin(self, chunk, desk)
+
+    (tmp_path / "dying.py").write_text(DIES.format(folder=str(tmp_path)))
     monkeypatch.setattr(chunks, "CHECKPOINT_EVERY_S", 0.0)
-    monkeypatch.setattr(Session, "take", kill)
-    run = sweep(UNEVEN, tmp_path / "run", engine=partial(OnRay, address=cluster), reporter=heard)
-    assert heard.lost and began[0] > 0
-    assert_same_tables(run.path, whole)
+    monkeypatch.setattr(Session, "take", taken)
+    monkeypatch.setattr(OnRay, "_begin", beginning)
+    dying = UNEVEN | {"task": UNEVEN["task"] | {"name": "dying:Dies"}, "modules": str(tmp_path)}
+    run = sweep(dying, tmp_path / "run", engine=partial(OnRay, address=cluster), reporter=heard)
+    (note,) = heard.lost
+    first, second = began[int(note.split("chunk ")[1].split()[0])]
+    assert first == 0 and second > 0
+    assert_same_tables(run.path, sweep(dying, tmp_path / "here").path)
 
 
 def test_a_chunk_that_loses_every_worker_is_given_up(cluster, whole, tmp_path, monkeypatch):
