@@ -26,7 +26,7 @@ from humanoid_mjx.report.parameters import draw_importance, draw_parallel, draw_
 from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades, wrapped
 from humanoid_mjx.runs.curves import Learning, read_learning
 from humanoid_mjx.runs.folder import read_config
-from humanoid_mjx.runs.ranking import MEASURES, find_levels, short
+from humanoid_mjx.runs.ranking import MEASURES, SAME, Judged, find_levels, short
 from humanoid_mjx.spec import InputError, find, modules_in
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
@@ -80,7 +80,8 @@ def sweep_figures(folder: Path, title: str, learning: Learning, own: Sequence[Fi
 EFFECTS = {
     "grid": "share of the differences between points that a parameter explains, with its 95 % interval over seeds",
     "zip": "",
-    "random": "each dot a point, its median over seeds; lines: local means over the points with their 95 % intervals",
+    "random": "each dot a point, its mean success or median over seeds, orange if not told apart from the best; lines: "
+    "local means of the points; bars: the share that a parameter explains by itself; all with 95 % intervals",
 }
 """What the figure of the parameters shows, by the mode of the sweep."""
 
@@ -99,6 +100,8 @@ def curved(learning: Learning, own: Sequence[Figure] = ()) -> list[Figure]:
     every = *measures, *([Figure(TERMS, terms, partial(draw_terms, names=terms), by_axis=False)] if terms else []), *own
     recorded = [each for each in every if set(each.needed) <= set(learning.columns)]
     tell = {name: _tells(learning.read(name)) for each in recorded for name in each.needed if name in learning.names}
+    if {"steps", "return"} <= tell.keys() and _mirrors(learning.read("steps"), learning.read("return")):
+        tell["return"] = False
     drawn = [each for each in recorded if any(tell.get(name, True) for name in each.needed)] or recorded
     return drawn + [Figure(title, (name,), partial(draw_greedy, name=name)) for name, title in _greedy(learning)]
 
@@ -142,7 +145,10 @@ def averaged(learning: Learning) -> str:
         return f"{some}, by {axes}; {each}" if axes else each
     if len(learning.axes) == 1:
         return each
-    return f"solid: the best setting of the other parameters, {each}; dashed: the mean over all their settings"
+    return (
+        f"solid: the setting of the other parameters that is best after training, {each}; dashed: the mean over all "
+        "their settings"
+    )
 
 
 @contextmanager
@@ -271,14 +277,24 @@ def draw_terms(panel: Any, learning: Learning, axis_name: str | None, names: Seq
 
 def parameters(learning: Learning) -> list[Figure]:
     """The figures of what the parameters do: of `random` sweeps each one, of all but `zip` which matters."""
-    found, axes = learning.compared, learning.axes
-    if not found.measure or len(axes) < 2 or learning.mode == "zip" or len(learning.points) < 2:
+    judged, axes = [each for each in learning.compared[:2] if each.measure], learning.axes
+    if not judged or len(axes) < 2 or learning.mode == "zip" or len(learning.points) < 2:
         return []
-    each = [Figure(axis, (), partial(draw_points, axis=axis)) for axis in axes if learning.mode == "random"]
-    every = [Figure("each line a point, bold where as good as the best", (), draw_parallel)] * (
-        learning.mode == "random"
-    )
-    return [*each, Figure(MEASURES[found.measure], (), draw_importance), *every]
+    shares = [Figure(MEASURES[each.measure], (), partial(_shares, judged=each)) for each in judged]
+    if learning.mode != "random":
+        return shares
+    points = [Figure(axis, (), partial(draw_points, axis=axis)) for axis in axes]
+    return [*points, *shares, Figure("a line a point; bold: as good as the best", (), draw_parallel)]
+
+
+def _shares(panel: Any, learning: Learning, axis_name: str | None, judged: Judged) -> dict[str, float]:
+    return draw_importance(panel, judged)
+
+
+def _mirrors(one: np.ndarray, other: np.ndarray) -> bool:
+    """True if a measure is a multiple of another, as a return that pays for each step alike."""
+    known = np.isfinite(one) & np.isfinite(other) & (one != 0)
+    return bool(known.any()) and float(np.ptp(other[known] / one[known])) < SAME
 
 
 def _tells(values: np.ndarray) -> bool:

@@ -11,18 +11,18 @@ from scipy.special import stdtrit
 from humanoid_mjx.report.drawing import cell_mean, mean_known
 from humanoid_mjx.report.style import COLORS, figure, is_geometric, log_axis, plt, wrapped
 from humanoid_mjx.runs.curves import Learning
-from humanoid_mjx.runs.ranking import MEASURES, find_levels, short
+from humanoid_mjx.runs.ranking import MEASURES, Judged, find_levels, short
 
 MAX_LABELS, MAX_CELLS = 8, 60
 """The most values written along a side of a heat map, and the most of its cells that say their number."""
 
 
 def _judged(learning: Learning) -> tuple[str, Float[np.ndarray, " points"]]:
-    """The measure by which points are told apart, and its median over seeds for each."""
-    name = learning.compared.measure
+    """The measure by which policies are told apart, and for each point its mean success or its median over seeds."""
+    name = learning.compared.policy.measure
     values = learning.finals(name)
     assert values is not None
-    return name, np.median(values, axis=1)
+    return name, (np.mean if name == "greedy_success" else np.median)(values, axis=1)
 
 
 def draw_points(panel: Any, learning: Learning, _: str | None, axis: str) -> dict[str, float]:
@@ -32,7 +32,7 @@ def draw_points(panel: Any, learning: Learning, _: str | None, axis: str) -> dic
     levels = find_levels(column)
     x = levels.index.astype(float) if words else column.astype(float)
     known = np.isfinite(result)
-    good = np.isin(learning.points, list(learning.compared.as_good))
+    good = np.isin(learning.points, list(learning.compared.policy.as_good))
     for chosen, color in ((known & ~good, "0.55"), (known & good, COLORS[1])):
         panel.plot(x[chosen], result[chosen], "o", color=color, markersize=3.5, alpha=0.7)
     logarithmic = not words and is_geometric(np.sort(x))
@@ -45,6 +45,7 @@ def draw_points(panel: Any, learning: Learning, _: str | None, axis: str) -> dic
         where, places = (np.log(x), np.log(at)) if logarithmic else (x, at)
         low, middle, high = local_mean(where[known], result[known], places)
         panel.plot(at, middle, color=COLORS[0])
+        low, high = (np.clip(end, np.nanmin(result), np.nanmax(result)) for end in (low, high))
         panel.fill_between(at, low, high, color=COLORS[0], alpha=0.2, linewidth=0)
     panel.set_xlabel(axis)
     panel.set_ylabel(MEASURES[name])
@@ -64,9 +65,9 @@ def local_mean(
     return middle - half, middle, middle + half
 
 
-def draw_importance(panel: Any, learning: Learning, axis_name: str | None) -> dict[str, float]:
+def draw_importance(panel: Any, judged: Judged) -> dict[str, float]:
     """A bar for each parameter, and for each two of them together: the share of the differences that it explains."""
-    shares = list(learning.compared.matters.items())[:MAX_LABELS][::-1]
+    shares = list(judged.matters.items())[:MAX_LABELS][::-1]
     for place, (_, share) in enumerate(shares):
         ends = np.maximum([[share.value - share.low], [share.high - share.value]], 0.0)
         panel.barh(place, max(share.value, 0.0), color=COLORS[0], alpha=0.75, height=0.6)
@@ -79,7 +80,7 @@ def draw_importance(panel: Any, learning: Learning, axis_name: str | None) -> di
 
 def draw_parallel(panel: Any, learning: Learning, axis_name: str | None) -> dict[str, float]:
     """Parallel coordinates: a line for each point through its values of all parameters, yellow where it is best."""
-    (name, result), good = _judged(learning), learning.compared.as_good
+    (name, result), good = _judged(learning), learning.compared.policy.as_good
     places = []
     for column in learning.axes.values():
         x = find_levels(column).index.astype(float) if column.dtype.kind not in "iuf" else column.astype(float)

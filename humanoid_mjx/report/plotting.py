@@ -10,6 +10,7 @@ from matplotlib.ticker import NullLocator
 
 from humanoid_mjx.report.drawing import COUNTED, CURVES, HEAT_MAPS, draw_line, over_seeds, possible
 from humanoid_mjx.report.style import COLORS, count_axis, figure, is_geometric, label_lines, log_axis, shades, wrapped
+from humanoid_mjx.runs.curves import swept
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.ranking import MAX_LEVELS, Levels, find_levels, short
 from humanoid_mjx.runs.tables import column_names, read_table
@@ -148,7 +149,10 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
     Raises:
       InputError: no run folder, a damaged table, a column that is not there or cannot be drawn, too many lines.
     """
-    if by is None and len(axes := read_rows(paths, x, y, None).axes) == 1 and axes[0] != x:
+    axes = list(dict.fromkeys(axis for path in paths for axis in swept(read_config(path))[1]))
+    short_names = {axis.rpartition(".")[2]: axis for axis in reversed(axes)}
+    x, y, by = x and short_names.get(x, x), short_names.get(y, y), by and short_names.get(by, by)
+    if by is None and len(axes) == 1 and axes[0] != x:
         by = axes[0]
     rows = read_rows(paths, x, y, by)
     x = x or rows.counter
@@ -167,6 +171,8 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
         each = "" if across.joined else "each point of the sweep, "
         fig.suptitle(wrapped(f"{', '.join(rows.runs)}: {each}{words}", fig), x=0.01, ha="left")
         left_out = _draw(panel, rows, across, x, y, by)
+        if others and by is None and x not in axes:
+            left_out.append(f"One line for all values of {', '.join(others)}; --by {others[0]} tells them apart.")
         panel.set_xlabel(NAMES.get(x, x))
         panel.set_ylabel(NAMES.get(y, y))
     return target, left_out

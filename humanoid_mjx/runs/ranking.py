@@ -6,7 +6,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.runs.statistics import ERROR, Estimate, difference, estimate, importance, interval, not_worse
+from humanoid_mjx.runs.statistics import (
+    ERROR,
+    Estimate,
+    difference,
+    estimate,
+    importance,
+    importance_of_drawn,
+    interval,
+    not_worse,
+)
 
 
 class Ranked(NamedTuple):
@@ -20,10 +29,6 @@ class Ranked(NamedTuple):
     greedy_return: float
     """Undiscounted return of greedy episodes; like the fields below a median over seeds."""
     greedy_steps: float
-    steps: float
-    """Steps of an episode at the end of training."""
-    training_return: float
-    """Return of an episode at the end of training."""
     whole: float
     """Mean over all of training, the area under the learning curve: of the steps where `quickest`, else of the
     return."""
@@ -38,8 +43,8 @@ BEST_POINTS = 10
 def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: bool) -> list[Ranked]:
     """All points from best to worst.
 
-    First come those that succeed most often, among them the quickest or those of the highest return. Training breaks
-    ties: the steps of an episode at its end, or its success and return there, and then the area under the curve.
+    First come those whose greedy episodes succeed most often, among them the quickest or those of the highest return.
+    Those that are equal are told apart by how they learned: by the area under the curve, then by the end of training.
 
     `quickest`: as the thesis judges its tables. A body that falls is quick too, so what is trained by control steps is
     judged by its return.
@@ -57,12 +62,14 @@ def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: boo
 
     success = over_seeds("greedy_success", np.mean)
     greedy_return, greedy_steps = over_seeds("greedy_return"), over_seeds("greedy_steps")
-    steps, returns = over_seeds("steps"), over_seeds("return")
-    whole = over_seeds("whole_steps" if quickest else "whole_return")
-    costs = (greedy_steps, steps, whole) if quickest else (-greedy_return, -over_seeds("success"), -returns, -whole)
+    whole, end = (
+        over_seeds("whole_steps" if quickest else "whole_return"),
+        over_seeds("steps" if quickest else "return"),
+    )
+    costs = (greedy_steps, whole, end) if quickest else (-greedy_return, -whole, -end)
     ranks = np.nan_to_num(np.stack([-np.round(success, 3), *costs], axis=1), nan=np.inf, posinf=np.inf, neginf=np.inf)
     values = zip(*(summary[axis][order[starts]] for axis in axes), strict=True) if axes else repeat(())
-    means = (column.tolist() for column in (success, greedy_return, greedy_steps, steps, returns, whole))
+    means = (column.tolist() for column in (success, greedy_return, greedy_steps, whole))
     found = map(Ranked, points.tolist(), values, *means, map(tuple, ranks.tolist()))
     return sorted(found, key=lambda point: point.rank)
 
@@ -80,52 +87,58 @@ MEASURES = {
 """Measures by which points are judged, in words."""
 
 
-class Compared(NamedTuple):
-    """The points of a sweep, compared by their common seeds."""
+class Judged(NamedTuple):
+    """The points of a sweep, judged by one measure."""
 
     measure: str
-    """The measure that tells them apart: the first in their ranks that is not the same for all that are left."""
     as_good: frozenset[int]
-    """Points that are not worse than the best (`statistics.not_worse`)."""
-    complete: int
-    """Number of points all of whose seeds are finished."""
-    seeds: int
+    """Points that are not told apart from the best (`statistics.not_worse`)."""
     matters: dict[str, Estimate]
     """By parameter, and by two of them with ` and ` between for what they do together: the share of the variance of
     the measure between points; the greatest first."""
 
 
-NOT_COMPARED = Compared("", frozenset(), 0, 0, {})
+class Compared(NamedTuple):
+    """The points of a sweep, compared by their common seeds."""
+
+    policy: Judged
+    """By greedy episodes after training: by their success, and where that tells no more by their steps or return."""
+    learning: Judged
+    """By the area under the learning curve; as good are only points that the policy does not tell apart."""
+    complete: int
+    """Number of points all of whose seeds are finished."""
+    seeds: int
+
+
+UNJUDGED = Judged("", frozenset(), {})
+NOT_COMPARED = Compared(UNJUDGED, UNJUDGED, 0, 0)
 
 
 def compared(mode: str, axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: bool) -> Compared:
-    """Compare all finished points: by the greedy measures of `ranked`, and by training while all are alike."""
+    """Compare all finished points: first by what they have learned, then by how they learned it."""
     points, finished = by_point(summary, "seed")
     whole = np.asarray(np.isfinite(finished).all(axis=1))
     if not whole.any():
         return NOT_COMPARED
-    left, measure, values, told = whole.copy(), "", finished, False
-    for name in ("greedy_success", *(QUICKEST if quickest else RICHEST)):
-        if name not in summary or (told and name not in GREEDY):
-            continue
-        found = by_point(summary, name)[1] * (-1 if name.endswith("steps") else 1)
-        if not measure or _differ(found[left]):
-            measure, values = name, found
-        left[left] = not_worse(found[left], ERROR / 2)
-        told = told or _differ(found[left])
-    left |= points == ranked(axes, summary, quickest)[0].point
-    known = whole & np.isfinite(values).all(axis=1)
-    return Compared(
-        measure,
-        frozenset(points[left].tolist()),
-        int(whole.sum()),
-        finished.shape[1],
-        _matters(
-            mode == "grid",
-            {axis: by_point(summary, axis)[1][known, 0] for axis in axes if mode != "zip"},
-            values[known],
-        ),
-    )
+    left, best = whole.copy(), points == ranked(axes, summary, quickest)[0].point
+    levels = {axis: by_point(summary, axis)[1][:, 0] for axis in axes if mode != "zip"}
+
+    def judged(names: Sequence[str]) -> Judged:
+        measure, values = "", finished
+        for name in names:
+            if name not in summary:
+                continue
+            found = by_point(summary, name)[1] * (-1 if name.endswith("steps") else 1)
+            if not measure or _differ(found[left]):
+                measure, values = name, found
+            left[left] = not_worse(found[left], ERROR / len(names))
+        known = whole & np.isfinite(values).all(axis=1)
+        matters = _matters(mode == "grid", {axis: column[known] for axis, column in levels.items()}, values[known])
+        return Judged(measure, frozenset(points[left | best].tolist()), matters) if measure else UNJUDGED
+
+    policy = judged(QUICKEST if quickest else RICHEST)
+    learning = judged(["whole_steps" if quickest else "whole_return"])
+    return Compared(policy, learning, int(whole.sum()), finished.shape[1])
 
 
 def _differ(values: np.ndarray) -> bool:
@@ -136,21 +149,22 @@ def _differ(values: np.ndarray) -> bool:
 def _matters(grid: bool, axes: Mapping[str, np.ndarray], values: np.ndarray) -> dict[str, Estimate]:
     """The importance of each parameter, and in a grid of what each two do together."""
     levels = {axis: find_levels(column) for axis, column in axes.items()}
-    shares: dict[tuple[str, ...], np.ndarray] = {}
-    shares |= {(axis,): importance(each.index, values, not grid) for axis, each in levels.items()}
-    for one, other in combinations(axes, 2) if grid else ():
-        pair = levels[one].index * len(levels[other].labels) + levels[other].index
-        shares[one, other] = importance(pair, values) - shares[one,] - shares[other,]
-    named = {" and ".join(axis.rpartition(".")[2] for axis in key): estimate(x, -1.0, 1.0) for key, x in shares.items()}
+    if not grid:
+        shares = {axis: importance_of_drawn(each.index, values) for axis, each in levels.items()}
+    else:
+        of = {axis: importance(each.index, values) for axis, each in levels.items()}
+        shares = {axis: estimate(share, -1.0, 1.0) for axis, share in of.items()}
+        for one, other in combinations(axes, 2):
+            pair = levels[one].index * len(levels[other].labels) + levels[other].index
+            together = importance(pair, values) - of[one] - of[other]
+            shares[f"{one} and {other}"] = estimate(together, -1.0, 1.0)
+    named = {" and ".join(x.rpartition(".")[2] for x in key.split(" and ")): each for key, each in shares.items()}
     return dict(sorted(named.items(), key=lambda each: -each[1].value))
 
 
-QUICKEST = "greedy_steps", "steps", "whole_steps"
-RICHEST = "greedy_return", "success", "return", "whole_return"
-"""Measures after success, by which points are ranked."""
-
-GREEDY = "greedy_success", "greedy_steps", "greedy_return"
-"""Measures of greedy episodes; where they tell no points apart, training does."""
+QUICKEST = "greedy_success", "greedy_steps"
+RICHEST = "greedy_success", "greedy_return"
+"""Measures of what was learned, by which points are ranked."""
 
 SAME = 0.0005
 """Means of points that are closer than this are the same."""
@@ -167,64 +181,71 @@ def by_point(summary: Mapping[str, np.ndarray], name: str) -> tuple[np.ndarray, 
 
 
 def in_words(axes: Sequence[str], points: Sequence[Ranked], found: Compared) -> str:
-    """What a sweep has found, as one sentence: the best point, how many are as good, and which parameter matters."""
+    """What a sweep has found, in a sentence or two: the best point, how many are not told apart from it, and which
+    parameter matters."""
     if len(points) < 2 or not found.complete:
         return ""
     named = zip((axis.rpartition(".")[2] for axis in axes), points[0].values, strict=True)
     best = ", ".join(f"{name} {short(value)}" for name, value in named)
-    count, unsure = len(found.as_good), f"cannot tell with {found.seeds} seed{'s' * (found.seeds != 1)} which"
-    if count == found.complete:
-        told = f"{unsure} of the {count:,} points is best; the first of the table has {best}"
+    policy, learning, of = len(found.policy.as_good), len(found.learning.as_good), f"{found.complete:,} points"
+    unsure = f"cannot tell with {found.seeds} seed{'s' * (found.seeds != 1)} which"
+    first, second = MEASURES.get(found.policy.measure, ""), MEASURES.get(found.learning.measure, "")
+    if (learning if second else policy) == found.complete:
+        told = f"{unsure} of the {of} is best; the first of the table has {best}"
     else:
-        equal = f"as good: {count:,} of {found.complete:,} points" if count > 1 else "better than all other points"
-        told = f"best: {best}; {equal} by {MEASURES[found.measure]}"
-    if len(found.matters) < 2:
+        equal = f"{policy:,} of {of} are not told apart from it" if policy > 1 else "better than all other points"
+        then = f", {learning:,} of these by {second}" if second and policy > 1 else ""
+        told = f"best: {best}; {equal} by {first}{then}"
+    if min(len(found.policy.matters), len(axes)) < 2:
         return f"{told}."
-    sure = {name: f"{x.value:.0%}" for name, x in found.matters.items() if x.low > 0 and x.value > LITTLE}
-    if not sure:
-        return f"{told}; {unsure} parameter matters."
-    first, *then = (f"{name} ({share})" for name, share in sure.items())
-    most = "together matter most" if " and " in first else "matters most"
-    return f"{told}; {first} {most}{f', then {then[0]}' if then else ''}."
+    most = {words: _most(each) for words, each in ((first, found.policy), (second, found.learning))}
+    parts = [f"for {words}: {names}" for words, names in most.items() if names]
+    return f"{told}.\nwhat matters {'; '.join(parts)}." if parts else f"{told}; {unsure} parameter matters."
+
+
+def _most(judged: Judged) -> str:
+    """The parameters that matter most for a measure, in words; nothing if that is not sure."""
+    sure = [
+        f"{name}{' together' * (' and ' in name)} ({share.value:.0%})"
+        for name, share in judged.matters.items()
+        if share.low > 0 and share.value > LITTLE
+    ]
+    return ", then ".join(sure[:2])
 
 
 LITTLE = 0.05
 """A parameter that explains no more than this share of the differences is not worth a word."""
 
 
-def training_interval(summary: Mapping[str, np.ndarray], point: int, name: str = "steps") -> tuple[float, float]:
-    """The 95 % interval of a point's median of a column, such as the `steps` at the end of training."""
-    low, high = interval(summary[name][summary["point"] == point])
-    return float(low), float(high)
-
-
 def best_table(
     axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool, found: Compared
 ) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of a table of the first `BEST_POINTS`, by what `quickest` judges them by (`ranked`)."""
-    measure, tied, seeds = (
-        "steps" if quickest else "return",
-        found.measure not in GREEDY,
-        len(np.unique(summary["seed"])),
-    )
+    measure, seeds = "steps" if quickest else "return", len(np.unique(summary["seed"]))
     greedy = ["greedy steps"] if quickest else ["greedy return", "greedy steps"]
-    headings = ["point", *axes, "greedy success", *greedy, f"{measure} at the end of training (95\u00a0%)"]
+    headings = ["point", *axes, "greedy success", *greedy, f"{measure} over all of training (95\u00a0%)"]
     some_diverged, compares = bool(np.any(summary["diverged"])), found.complete > 1
-    headings += [f"{measure} over all of training"] * tied + ["diverged"] * some_diverged + ["as good"] * compares
-    numbers, judged = by_point(summary, found.measure or "seed")
-    rows = []
+    headings += ["diverged"] * some_diverged + ["as good"] * compares
+    rows, wholes = [], summary.get(f"whole_{measure}", np.full(len(summary["point"]), np.nan))
     for point in points[:BEST_POINTS]:
-        low, high = training_interval(summary, point.point, measure)
-        end = _number(point.steps if quickest else point.training_return)
-        end += f" ({low:.2f} to {high:.2f})" if low < high else ""
-        means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", end]
+        low, high = interval(wholes[summary["point"] == point.point])
+        whole = _number(point.whole) + (f" ({low:.2f} to {high:.2f})" if low < high else "")
+        means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", whole]
         diverged = f"{int(np.sum(summary['diverged'][summary['point'] == point.point]))} of {seeds}"
         cells = [str(point.point), *map(short, point.values), f"{point.success:.1%}", *means]
-        gap = difference(*(judged[numbers == each.point][0] for each in (point, points[0])))
-        worse = f"no, {gap.low:+.3g} to {gap.high:+.3g}" if np.isfinite(gap.value) else ""
-        equal = "yes" if point.point in found.as_good else worse
-        rows.append([*cells, *[_number(point.whole)] * tied, *[diverged] * some_diverged, *[equal] * compares])
+        equal = _as_good(point.point, points[0].point, summary, found)
+        rows.append([*cells, *[diverged] * some_diverged, *[equal] * compares])
     return headings, rows
+
+
+def _as_good(point: int, best: int, summary: Mapping[str, np.ndarray], found: Compared) -> str:
+    """Whether a point is as good as the best; else the interval of its difference, seed by seed."""
+    for judged, words in ((found.policy, "no,"), (found.learning, "slower,")):
+        if point not in judged.as_good and judged.measure:
+            numbers, values = by_point(summary, judged.measure)
+            gap = difference(*(values[numbers == each][0] for each in (point, best)))
+            return f"{words} {gap.low:+.3g} to {gap.high:+.3g}" if np.isfinite(gap.value) else ""
+    return "yes"
 
 
 MAX_LEVELS = 12

@@ -50,7 +50,7 @@ def test_a_value_has_its_best_setting_and_the_mean_over_all(panel):
     low, high = interval(curves[1])
     box = panel.collections[0].get_paths()[0].get_extents()
     np.testing.assert_allclose([box.y0, box.y1], [low.min(), high.max()])
-    assert "best setting" in averaged(learning) and "dashed: the mean" in averaged(learning)
+    assert "best after training" in averaged(learning) and "dashed: the mean" in averaged(learning)
 
 
 def test_greedy_episodes_stand_beside_the_curves(panel):

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from humanoid_mjx.runs.ranking import best_table, compared, in_words, ranked
+from humanoid_mjx.runs.ranking import best_table, compared, find_levels, in_words, ranked
 from humanoid_mjx.runs.statistics import (
     above,
     difference,
     estimate,
     holm,
     importance,
+    importance_of_drawn,
     improvement,
     interval,
     not_worse,
@@ -138,6 +139,21 @@ def test_of_points_drawn_at_random_the_other_parameters_are_no_effect():
     assert abs(shares[0]) < 0.15 and shares[1] == pytest.approx(1.0)
 
 
+def test_of_points_drawn_at_random_the_interval_covers_other_draws():
+    """Of 200 sweeps of 40 points and 5 seeds; the share that is true is that of 100,000 points."""
+    rng = np.random.default_rng(8)
+
+    def drawn(points):
+        x = rng.random((points, 2))
+        return find_levels(x[:, 0]).index, (np.sin(3 * x[:, 0]) + x[:, 1])[:, None] + 0.2 * rng.normal(size=(points, 5))
+
+    true = importance(*drawn(100_000), drawn=True).mean()
+    found = [importance_of_drawn(*drawn(40)) for _ in range(200)]
+    assert np.mean([each.low <= true <= each.high for each in found]) == pytest.approx(0.95, abs=0.035)
+    assert np.mean([each.high - each.low for each in found]) < 0.8
+    assert importance_of_drawn(*drawn(2)) == (0.0, -1.0, 1.0)
+
+
 def summary_of(success, seeds):
     """A sweep over two parameters, from its success by epsilon, rate and seed."""
     shape = *success.shape[:2], seeds
@@ -164,8 +180,11 @@ def test_a_sweep_says_what_it_found_or_that_it_cannot_tell():
     rng = np.random.default_rng(5)
     rates = np.array([0.1, 0.5, 0.9])[None, :, None] + rng.normal(0.0, 0.01, (4, 3, 5))
     words = told(rates, 5)
-    assert words.startswith("best: epsilon 0.") and "rate 2; as good: 4 of 12 points by success of greedy" in words
-    assert words.endswith("rate (100%) matters most.")
+    assert (
+        words.startswith("best: epsilon 0.")
+        and "rate 2; 4 of 12 points are not told apart from it by success of greedy" in words
+    )
+    assert words.endswith("\nwhat matters for success of greedy episodes: rate (100%).")
     chance = told(rng.normal(0.5, 0.1, (4, 3, 5)), 5)
     assert chance.startswith("cannot tell with 5 seeds which of the 12 points is best;")
     assert chance.endswith("cannot tell with 5 seeds which parameter matters.")
@@ -182,4 +201,4 @@ def test_a_sweep_that_is_not_over_compares_what_is():
         found, points = compared("grid", axes, part, quickest=True), ranked(axes, part, quickest=True)
         table = best_table(axes, part, points, True, found)[1]
         assert len(table) == rows and "nan" not in str(table) and "nan" not in in_words(axes, points, found)
-        assert 1 not in found.as_good and found.complete in (0, 3)
+        assert 1 not in found.policy.as_good and found.complete in (0, 3)
