@@ -19,6 +19,7 @@ import pydantic
 from humanoid_mjx.config import Config, apply_override, check_overrides, parse
 from humanoid_mjx.files import folder, kind_of, meant, names, refusing, whole_file
 from humanoid_mjx.learners import Learner
+from humanoid_mjx.robot import ROBOTS
 from humanoid_mjx.runs.archive import HEADER, check_finite, read_archive
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
@@ -86,7 +87,8 @@ class Trained(NamedTuple):
 
 
 def find_policy(name: str, point: int | None = None) -> Trained:
-    """The best policy of a run folder, or of one point of its sweep; that of a file; or the shipped one of this name.
+    """The best policy of a run folder, or of one point of its sweep; that of a file; the shipped one of this name; or
+    none but the servo of the robot of this name or YAML (`evaluation.rest`).
 
     Raises:
       InputError: there is nothing of the kind, or it cannot be read; `point` is given for what is no run folder.
@@ -94,6 +96,8 @@ def find_policy(name: str, point: int | None = None) -> Trained:
     path, shipped = Path(name), folder("policies") / f"{name}.npz"
     if path.is_dir():
         return best_policy(path, point)
+    if point is None and (name in ROBOTS or name in names("robots", ".yaml") or kind_of(path) == "robot"):
+        return at_rest(name)
     file = path if path.exists() or path.suffix == ".npz" or path.name != name else shipped
     if not file.exists():
         instead = meant(name, "run", "policy") or f"; {known(name, names('policies', '.npz'), 'info')}"
@@ -101,6 +105,22 @@ def find_policy(name: str, point: int | None = None) -> Trained:
     if point is not None:
         raise InputError(f"--point: {name} is no run folder, and only a sweep has points.")
     return read_policy(file)
+
+
+def at_rest(robot: str) -> Trained:
+    """The policy that holds a robot's home posture by its servo, on the task `stand` without pushes.
+
+    `robot`: a name, or the path of a YAML.
+
+    Raises:
+      InputError: there is no such robot, or it cannot stand on the ground.
+    """
+    task = {"name": "stand", "robot": robot, "push": {"impulse": 0.0}}
+    learner = {"name": f"{__package__}.rest:AtRest"}
+    config = parse({"name": Path(robot).stem, "task": task, "learner": learner, "total_steps": 4096}, robot)
+    (group,) = make_plan(config).groups
+    policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape, leaf.dtype), group.policy)
+    return Trained(group.learner(), policy, 0, 0, config.name, config, {"scores": {}, "provenance": {}})
 
 
 def best_policy(path: Path, point: int | None = None) -> Trained:

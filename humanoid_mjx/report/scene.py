@@ -98,7 +98,8 @@ class Scene(NamedTuple):
 def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"], terrain: Terrain | None = None) -> Scene:
     """The shapes of a robot in each posture. Meshes appear as the boxes around them."""
     rows, data = np.asarray(qpos, np.float64), mujoco.MjData(model)
-    shown = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and not _is_plane(model, g)]
+    solid = [g for g in range(model.ngeom) if not _is_plane(model, g)]
+    shown = [g for g in solid if model.geom_group[g] < VISIBLE_GROUPS] or solid
     places, turns, torso = [], [], []
     for row in rows:
         data.qpos = row

@@ -26,6 +26,10 @@ PLAIN = BLANK.default
 """An empty default class. Elements that the package adds to a user's spec would else inherit the spec's main class."""
 
 
+BONE, MAX_BONE, SHORTEST = 0.15, 0.05, 0.01
+"""Radius of a bone as a share of its length, its maximum, and the length below which none is drawn, m."""
+
+
 def checked(function: Callable[[], Any], what: str = "model: MuJoCo cannot compile it") -> tuple[Any, tuple[str, ...]]:
     """Call a function of MuJoCo's compiler; return its result and MuJoCo's warnings.
 
@@ -61,6 +65,7 @@ def _line(message: object) -> str:
 
 def read_spec(file: str) -> tuple[mujoco.MjSpec, int]:
     """Return the spec of an MJCF without meshes whose files are missing, and the number of shapes that go with them.
+    Bones that touch nothing and weigh nothing show the bodies in their place.
 
     Raises:
       InputError: such a shape touches something or has a mass.
@@ -82,9 +87,21 @@ def read_spec(file: str) -> tuple[mujoco.MjSpec, int]:
         if geom.contype | geom.conaffinity or geom.name in paired or not light:
             what = f"the mesh {gone[geom.meshname].file} of {body.name} is missing, and it touches or has a mass"
             raise InputError(f"model: {what}; bring it into {folder}, or write a capsule or box in its place")
+    bodies = {geom.parent.name: geom.parent for geom in shapes if geom.parent.name != "world"}
     for part in (*shapes, *gone.values()):
         spec.delete(part)
+    for body in bodies.values():
+        _add_bones(body)
     return spec, len(shapes)
+
+
+def _add_bones(body: mujoco.MjsBody) -> None:
+    """Add a capsule from a body's origin to each of its children, or to its own shapes where it has none."""
+    looks = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "contype": 0, "conaffinity": 0, "mass": 0.0, "group": 0}
+    for end in [np.array(part.pos) for part in (list(body.bodies) or list(body.geoms))]:
+        if (length := float(np.linalg.norm(end))) > SHORTEST:
+            size = (min(BONE * length, MAX_BONE), 0.0, 0.0)
+            body.add_geom(PLAIN, fromto=(0.0, 0.0, 0.0, *end), size=size, rgba=(0.6, 0.65, 0.7, 1.0), **looks)
 
 
 def place_of(model: str, beside: Path) -> Path:

@@ -3,14 +3,19 @@
 
 import importlib.util
 import re
+from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 import yaml
 
 from humanoid_mjx import InputError
+from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.files import folder, names
+from humanoid_mjx.report.scene import make_scene
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.holding import in_words, standing
 
@@ -98,11 +103,30 @@ def test_meshes_that_are_missing_matter_only_where_they_touch_or_weigh(tmp_path)
     robot = make_robot(written(tmp_path, looks=shell, assets=assets))
     assert ("1 meshes", "for looks", "none: no such files") in robot.differences()
     assert robot.mass == make_robot(written(tmp_path)).mass
+    bones = robot.model.ngeom - make_robot(written(tmp_path)).model.ngeom
+    assert bones == 4, "one from the trunk to each thigh, in place of the shell"
     for change in (('contype="0" ', ""), ('mass="0"', "")):
         with pytest.raises(
             InputError, match=r"robot.yaml: model: the mesh shell.stl of trunk is missing, and it touches"
         ):
             make_robot(written(tmp_path, looks=shell.replace(*change), assets=assets))
+
+
+def test_a_robot_is_seen_before_it_is_trained(tmp_path):
+    """By its YAML, on its servo: every joint stays at the middle of its choices."""
+    shapes = BODY.replace("<geom ", '<geom group="3" ')
+    for_contacts_only = Path(written(tmp_path)).with_name("robot.xml")
+    for_contacts_only.write_text(
+        f"<mujoco><worldbody>{shapes}</worldbody></mujoco>".replace("FOOT", BOX).replace("LOOKS", "")
+    )
+    rest = find_policy(str(tmp_path / "robot.yaml"))
+    counts = np.array(rest.learner.env.action_bins)
+    choice = rest.learner.act(rest.policy, jnp.ones(rest.learner.env.observation_size), jax.random.key(0))
+    np.testing.assert_array_equal(choice, (counts - 1) // 2)
+    model = rest.learner.task.simulator.model
+    assert len(make_scene(model, model.qpos0[None]).shown) > 0, "shapes for contacts only, as none is for looks"
+    with pytest.raises(InputError, match="leg: task: robot: this one hangs from its base; name one that stands"):
+        find_policy("leg")
 
 
 def test_a_foot_of_a_mesh_stands_on_the_corners_of_its_hull(tmp_path):

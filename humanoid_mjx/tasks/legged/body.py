@@ -87,7 +87,9 @@ class LeggedBody(ContinuousTask):
         self.simulator.substeps(self.period)
         self.control.of(self.robot)
         self.actuator.check(self.robot, self.timestep)
-        if self.simulator.free and np.linalg.norm(self.simulator.qpos0[4:7]) > TURNED:
+        if not self.simulator.free:
+            raise ValueError("robot: this one hangs from its base; name one that stands, such as lower_body")
+        if np.linalg.norm(self.simulator.qpos0[4:7]) > TURNED:
             raise ValueError("robot: the frame of the free body must be upright, x forward; turn the bodies below it")
         if self.action_shares and len(self.action_shares) != len(set(self.robot.kinds.tolist())):
             raise ValueError(f"action_shares must hold one number for each kind of joint, got {self.action_shares}")
