@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute
-from humanoid_mjx.commands.play import run_export
+from humanoid_mjx.commands.export import export
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.policy import find_policy
 
@@ -38,7 +38,7 @@ class Answers(NamedTuple):
 def answers(name: str, folder: Path) -> Answers:
     """The answers to states spread twice as far as those seen in training; the C and its library stay in `folder`."""
     source, library = folder / "policy.c", folder / "policy.so"
-    run_export(name, source, None)
+    export(name, source)
     flags = "-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC"
     subprocess.run(["cc", *flags, str(source), "-o", str(library), "-lm"], check=True)
     compiled = ctypes.CDLL(str(library))

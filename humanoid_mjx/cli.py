@@ -11,9 +11,13 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer import Argument, Option
 
+from humanoid_mjx.commands.bench import bench
 from humanoid_mjx.commands.evaluate import evaluate
+from humanoid_mjx.commands.export import export
 from humanoid_mjx.commands.film import demo, play
-from humanoid_mjx.commands.options import CONFIGS, Override, Point, Trust, trusting
+from humanoid_mjx.commands.options import CONFIGS, Override, Trust, trusting
+from humanoid_mjx.commands.reproduce import reproduce
+from humanoid_mjx.commands.runs import plot, report, runs
 
 ABOUT = (
     "Batched simulation and Q-learning for the lower body of a humanoid, in JAX.\n\n"
@@ -56,98 +60,8 @@ def sweep(
         run_sweep(config, out, set_ or [], resume, tensorboard, view, ray)
 
 
-@app.command()
-def reproduce(
-    names: Annotated[list[str] | None, Argument(metavar="[NAME]...", help="Such as table-7.1; all by default.")] = None,
-    list_: Annotated[bool, Option("--list", help="Show the names.")] = False,
-    set_: Override = None,
-    out: Annotated[Path, Option(help="The folder of reproduce.json and the figures.")] = Path("reproduced"),
-) -> None:
-    """Reproduce tables and figures of the thesis, each with a computed verdict."""
-    from humanoid_mjx.commands.reproduce import run_reproduce
-
-    run_reproduce(names or [], list_, set_ or [], out)
-
-
-@app.command()
-def bench(
-    names: Annotated[
-        list[str] | None,
-        Argument(
-            metavar="[NAME]...",
-            help="tabular, physics, control or all, in a checkout also training and startup; compare OLD.json "
-            "NEW.json: two results, with exit code 1 where something became slow.",
-        ),
-    ] = None,
-    json: Annotated[Path | None, Option(metavar="FILE", help="Write the figures as JSON.")] = None,
-    seeds: Annotated[int | None, Option(min=1, help="Seeds of every learner that training trains; 5.")] = None,
-) -> None:
-    """Measure steps and episodes per second against the alternatives, compile time apart."""
-    from humanoid_mjx.commands.bench import run_bench
-
-    run_bench(names or ["all"], json, seeds)
-
-
-app.command()(evaluate)
-app.command()(play)
-
-
-app.command()(demo)
-
-
-@app.command()
-def report(
-    run: Annotated[Path, Argument(metavar="RUN", help="A run folder, or a folder that reproduce has written.")],
-    out: Annotated[Path | None, Option(metavar="FILE.html", help="By default RUN/report.html.")] = None,
-    motion: Annotated[bool, Option(help="Show the robot under the best policy.")] = True,
-    trust: Trust = False,
-) -> None:
-    """Write one self-contained web page: config, curves, tables, the robot's motion, the command to run it again."""
-    from humanoid_mjx.commands.runs import run_report
-
-    with trusting(trust, run):
-        run_report(run, out, motion)
-
-
-@app.command()
-def runs(
-    folder: Annotated[Path, Argument(metavar="[FOLDER]", help="Where the run folders are.")] = Path("runs"),
-) -> None:
-    """List run folders: task, learner, progress, and the result of the best point."""
-    from humanoid_mjx.commands.runs import run_runs
-
-    run_runs(folder)
-
-
-@app.command()
-def plot(
-    run: Annotated[list[Path], Argument(metavar="RUN...", help="Run folders.")],
-    x: Annotated[str | None, Option("--x", metavar="COLUMN", help="Across; by default episodes or steps.")] = None,
-    y: Annotated[str, Option("--y", metavar="COLUMN", help="Upwards.")] = "success",
-    by: Annotated[
-        str | None,
-        Option("--by", metavar="COLUMN", help="A line for each value; run: for each run. By default the swept key."),
-    ] = None,
-    out: Annotated[Path | None, Option(metavar="FILE.png", help="By default in the first run's figures.")] = None,
-) -> None:
-    """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds."""
-    from humanoid_mjx.commands.runs import run_plot
-
-    run_plot(run, x, y, by, out)
-
-
-@app.command()
-def export(
-    what: Annotated[str, Argument(metavar="ROBOT|RUN|POLICY", help="A robot, a run folder or a policy.")],
-    file: Annotated[Path, Argument(metavar="FILE", help="An .xml for a robot; .npz, .c or .onnx for a policy.")],
-    point: Point = None,
-    trust: Trust = False,
-) -> None:
-    """Write a robot, or that of a policy, as MJCF; or the best policy of a run as .npz, C or ONNX."""
-    from humanoid_mjx.commands.play import run_export
-
-    with trusting(trust, what):
-        run_export(what, file, point)
+for command in (reproduce, bench, evaluate, play, demo, report, runs, plot, export):
+    app.command()(command)
 
 
 @app.command()

@@ -1,25 +1,34 @@
 """The command `reproduce`."""
 
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from humanoid_mjx import compute
+from typer import Argument, Option
+
 from humanoid_mjx.commands import console
+from humanoid_mjx.commands.options import Override
+
+if TYPE_CHECKING:
+    from humanoid_mjx.reproduction import Experiment, Finding
 
 
-def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[str], out: Path) -> None:
-    """`humanoid-mjx reproduce`."""
+def reproduce(
+    names: Annotated[list[str] | None, Argument(metavar="[NAME]...", help="Such as table-7.1; all by default.")] = None,
+    list_: Annotated[bool, Option("--list", help="Show the names.")] = False,
+    set_: Override = None,
+    out: Annotated[Path, Option(help="The folder of reproduce.json and the figures.")] = Path("reproduced"),
+) -> None:
+    """Reproduce tables and figures of the thesis, each with a computed verdict."""
+    from humanoid_mjx import compute, reproduction
+
     compute.start(mjx=True)
-    from humanoid_mjx.reproduction import Experiment, Finding, load_experiments, reproduce
-
-    if list_names:
-        for experiment in load_experiments().values():
+    if list_:
+        for experiment in reproduction.load_experiments().values():
             console.print(f"{experiment.name:24} {experiment.title}")
         return
 
-    def say(experiment: Experiment, findings: list[Finding], seconds: float) -> None:
+    def say(experiment: "Experiment", findings: "list[Finding]", seconds: float) -> None:
         console.print(f"\n{experiment.name}: {experiment.title} ({seconds:.1f} s)")
         for finding in findings:
             console.print(f"  {finding.verdict:16} {finding.quantity}")
@@ -27,7 +36,7 @@ def run_reproduce(names: Sequence[str], list_names: bool, overrides: Sequence[st
             console.print(f"  {'':16} {finding.why}")
 
     with console.status("reproducing") as status:
-        findings = reproduce(names, out, overrides, say, status.update)
+        findings = reproduction.reproduce(names or [], out, set_ or [], say, status.update)
     counts = Counter(finding.verdict for finding in findings)
     console.print(f"\n{', '.join(f'{count} {verdict}' for verdict, count in counts.items())}\n{out / 'reproduce.json'}")
 

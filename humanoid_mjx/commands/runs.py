@@ -3,26 +3,32 @@
 import re
 from collections.abc import Sequence
 from functools import partial
+from math import isfinite
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from rich.filesize import decimal
 from rich.measure import Measurement
 from rich.table import Column, Table
+from typer import Argument, Option
 
-from humanoid_mjx import compute
 from humanoid_mjx.commands import console
-from humanoid_mjx.files import meant, refusing, write_text
-from humanoid_mjx.runs.listing import Listed, list_runs
-from humanoid_mjx.spec import InputError, check_folder
+from humanoid_mjx.commands.options import Trust, trusting
 from humanoid_mjx.training.progress import Bar
+
+if TYPE_CHECKING:
+    from humanoid_mjx.runs.listing import Listed
 
 UNBOUNDED, LEAST_COLUMNS = 10_000, 5
 """A width that holds every table, and the columns that the narrowest screen shows, with broken cells."""
 
 
-def run_runs(folder: Path) -> None:
-    """`humanoid-mjx runs`."""
+def runs(
+    folder: Annotated[Path, Argument(metavar="[FOLDER]", help="Where the run folders are.")] = Path("runs"),
+) -> None:
+    """List run folders: task, learner, progress, and the result of the best point."""
+    from humanoid_mjx.runs.listing import list_runs
+
     found, problems = list_runs(folder)
     if found:
         table, wide = runs_table(found), console.options.update_width(UNBOUNDED)
@@ -40,7 +46,7 @@ def run_runs(folder: Path) -> None:
         console.print("An interrupted run is completed by: humanoid-mjx sweep RUN/config.yaml --out RUN --resume")
 
 
-def runs_table(found: Sequence[Listed]) -> Table:
+def runs_table(found: Sequence["Listed"]) -> Table:
     """A row for each run folder, the newest last."""
     words, number = partial(Column, overflow="fold"), partial(Column, justify="right", no_wrap=True)
     columns = [words("run", min_width=12), words("task"), words("learner"), number("points x seeds"), words("state")]
@@ -53,57 +59,75 @@ def runs_table(found: Sequence[Listed]) -> Table:
             run.learner,
             f"{run.points:,} x {run.seeds:,}",
             _state(run),
-            f"{run.success:.1%}" if np.isfinite(run.success) else "",
-            f"{run.greedy_return:.4g}" if np.isfinite(run.greedy_return) else "",
+            f"{run.success:.1%}" if isfinite(run.success) else "",
+            f"{run.greedy_return:.4g}" if isfinite(run.greedy_return) else "",
             f"{run.started.astimezone():%Y-%m-%d %H:%M}",
             decimal(run.size),
         )
     return table
 
 
-def _name(run: Listed) -> str:
+def _name(run: "Listed") -> str:
     """A run folder's name, with that of its config where it does not follow from it."""
     name = run.path.resolve().name
     return name if re.fullmatch(rf"{re.escape(run.config)}(-\d+)?", name) else f"{name} ({run.config})"
 
 
-def _state(run: Listed) -> str:
+def _state(run: "Listed") -> str:
     state = run.state if run.state == "finished" else f"{run.state} at {run.share:.0%}"
     return f"{state}, {run.diverged:,} diverged" if run.diverged else state
 
 
-def run_plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path | None) -> None:
-    """`humanoid-mjx plot`."""
-    from humanoid_mjx.report.plotting import plot
+def plot(
+    run: Annotated[list[Path], Argument(metavar="RUN...", help="Run folders.")],
+    x: Annotated[str | None, Option("--x", metavar="COLUMN", help="Across; by default episodes or steps.")] = None,
+    y: Annotated[str, Option("--y", metavar="COLUMN", help="Upwards.")] = "success",
+    by: Annotated[
+        str | None,
+        Option("--by", metavar="COLUMN", help="A line for each value; run: for each run. By default the swept key."),
+    ] = None,
+    out: Annotated[Path | None, Option(metavar="FILE.png", help="By default in the first run's figures.")] = None,
+) -> None:
+    """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds."""
+    from humanoid_mjx.report import plotting
+    from humanoid_mjx.spec import InputError, check_folder
 
-    if out is not None and out.suffix != ".png":
-        raise InputError(f"--out {out}: the file must end in .png.")
     if out is not None:
+        if out.suffix != ".png":
+            raise InputError(f"--out {out}: the file must end in .png.")
         check_folder(out, "--out")
-    target, notes = plot(paths, x, y, by, out)
+    target, notes = plotting.plot(run, x, y, by, out)
     for note in notes:
         console.print(note)
     console.print(f"{target}", soft_wrap=True)
 
 
-def run_report(path: Path, out: Path | None, motion: bool) -> None:
-    """`humanoid-mjx report`, of a run folder or of what `reproduce` has written."""
+def report(
+    run: Annotated[Path, Argument(metavar="RUN", help="A run folder, or a folder that reproduce has written.")],
+    out: Annotated[Path | None, Option(metavar="FILE.html", help="By default RUN/report.html.")] = None,
+    motion: Annotated[bool, Option(help="Show the robot under the best policy.")] = True,
+    trust: Trust = False,
+) -> None:
+    """Write one self-contained web page: config, curves, tables, the robot's motion, the command to run it again."""
+    from humanoid_mjx import compute
+    from humanoid_mjx.files import meant, refusing, write_text
     from humanoid_mjx.report.page import run_page
     from humanoid_mjx.reproduction.page import findings_page
+    from humanoid_mjx.spec import InputError, check_folder
 
-    if not path.is_dir():
-        raise InputError(f"{path}: there is no such folder{meant(str(path), 'run')}.")
-    target = out or path / "report.html"
+    if not run.is_dir():
+        raise InputError(f"{run}: there is no such folder{meant(str(run), 'run')}.")
+    target = out or run / "report.html"
     check_folder(target)
     compute.start()
-    with Bar(console) as bar:
-        if (path / "config.yaml").exists():
-            page = run_page(path, bar, motion)
-        elif (path / "reproduce.json").is_file():
-            page = findings_page(path)
+    with trusting(trust, run), Bar(console) as bar:
+        if (run / "config.yaml").exists():
+            page = run_page(run, bar, motion)
+        elif (run / "reproduce.json").is_file():
+            page = findings_page(run)
         else:
             neither = "neither a run folder (no config.yaml) nor what reproduce has written (no reproduce.json)"
-            raise InputError(f"{path}: {neither}{meant(str(path), 'run')}.")
+            raise InputError(f"{run}: {neither}{meant(str(run), 'run')}.")
         with refusing(target):
             write_text(target, page)
     console.print(f"{target}", soft_wrap=True)

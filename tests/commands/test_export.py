@@ -8,7 +8,7 @@ from c_policy import answers
 from command_line import told
 
 from humanoid_mjx import InputError
-from humanoid_mjx.commands.play import run_export
+from humanoid_mjx.commands.export import export
 from humanoid_mjx.robot import ROBOTS, make_robot
 
 
@@ -42,4 +42,4 @@ def test_a_shipped_policy_acts_the_same(tmp_path, name):
 
 def test_only_networks_become_c(tmp_path):
     with pytest.raises(InputError, match="posture_switch: only policies of deep_q can be written as C"):
-        run_export("posture_switch", tmp_path / "policy.c", None)
+        export("posture_switch", tmp_path / "policy.c")

@@ -14,7 +14,7 @@ from docs_reader import blocks
 from flax import linen as nn
 
 from humanoid_mjx import InputError, make_learner, make_task
-from humanoid_mjx.commands.play import run_export
+from humanoid_mjx.commands.export import export
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.deploy import contract_of, write_onnx
 from humanoid_mjx.evaluation.onnx_graph import to_onnx
@@ -37,7 +37,7 @@ def trained_of(learner, key):
 
 
 def test_ten_thousand_states_have_the_values_of_jax(tmp_path):
-    run_export("walk", tmp_path / "policy.onnx", None)
+    export("walk", tmp_path / "policy.onnx")
     session = onnxruntime.InferenceSession(str(tmp_path / "policy.onnx"))
     trained = find_policy("walk")
     learner, policy = trained.learner, trained.policy
@@ -181,7 +181,7 @@ def test_a_controller_decides_as_the_task_does(values, tmp_path):
 def test_the_loop_of_the_page_drives_the_robot_by_the_contract_alone(name, command, low, high, tmp_path):
     """The walkers come some 3 m far in 10 s; a robot that falls lies below four fifths of its first height."""
     for ending in ("onnx", "xml"):
-        run_export(name, tmp_path / f"{name}.{ending}", None)
+        export(name, tmp_path / f"{name}.{ending}")
     page = (ROOT / "docs" / "on_your_robot.md").read_text(encoding="utf-8")
     (loop,) = (block.text for block in blocks(page) if block.title == "on_robot.py")
     assert "humanoid_mjx" not in loop and len(loop.splitlines()) <= 35
@@ -201,7 +201,7 @@ def test_the_loop_of_the_page_drives_the_robot_by_the_contract_alone(name, comma
 
 
 def test_the_contract_is_that_of_the_robot_and_in_every_file(tmp_path):
-    run_export("walk", tmp_path / "walk.onnx", None)
+    export("walk", tmp_path / "walk.onnx")
     contract = json.loads((tmp_path / "walk.json").read_text())
     for graph in ("walk.onnx", "walk_controller.onnx"):
         session = onnxruntime.InferenceSession(str(tmp_path / graph))
@@ -211,7 +211,7 @@ def test_the_contract_is_that_of_the_robot_and_in_every_file(tmp_path):
     assert sum(part["size"] for part in contract["observation"]["parts"]) == contract["observation"]["size"] == 46
     assert contract["control_period"] == 0.02 and contract["torque_limits"] == [2.0] * 10
     assert len(contract["normalisation"]["mean"]) == 46
-    run_export("walk", tmp_path / "c.c", None)
+    export("walk", tmp_path / "c.c")
     of_c = json.loads((tmp_path / "c.json").read_text())
     assert of_c == {key: value for key, value in contract.items() if key != "controller"}
 
@@ -224,10 +224,10 @@ def test_a_law_that_is_no_servo_has_no_gains_in_the_contract():
 
 def test_what_cannot_be_written_is_refused_in_a_sentence(tmp_path):
     with pytest.raises(InputError, match="posture_switch: only networks can be written as ONNX; this policy is of tab"):
-        run_export("posture_switch", tmp_path / "policy.onnx", None)
+        export("posture_switch", tmp_path / "policy.onnx")
     (tmp_path / "walk.json").write_text("{}")
     with pytest.raises(InputError, match=r"walk\.json: the contract of walk\.onnx goes here, but another file is"):
-        run_export("walk", tmp_path / "walk.onnx", None)
+        export("walk", tmp_path / "walk.onnx")
     (tmp_path / "walk.json").unlink()
     learner = make_learner("deep_q", make_task("stand", observe="privileged"), width=8, layers=1)
     with pytest.raises(InputError, match="own: it observes the true motion of its torso"):

@@ -21,7 +21,6 @@ from fault_configs import bomb_texts
 from small_sweep import assert_same_tables
 
 from humanoid_mjx import InputError, sweep
-from humanoid_mjx.commands.runs import run_runs
 from humanoid_mjx.config import config_digest, load, parse, parse_yaml
 from humanoid_mjx.evaluation.policy import best_policy
 from humanoid_mjx.files import whole_file
@@ -352,8 +351,7 @@ def test_errors_of_the_machine_get_one_line(said, monkeypatch, error, words):
     def fails(folder):
         raise error
 
-    monkeypatch.setattr("humanoid_mjx.commands.runs.run_runs", fails)
-    assert callable(run_runs)
+    monkeypatch.setattr("humanoid_mjx.runs.listing.list_runs", fails)
     code, _, err = said("runs")
     assert code == 2 and err.startswith(words) and err.count("\n") == 1
 

@@ -139,6 +139,6 @@ def test_an_empty_folder_and_none(tmp_path):
 def test_a_narrow_terminal_shows_fewer_columns_rather_than_broken_words(folder, monkeypatch, width, last):
     console = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None, highlight=False)
     monkeypatch.setattr(runs, "console", console)
-    runs.run_runs(folder)
+    runs.runs(folder)
     headings, row, *_ = console.file.getvalue().splitlines()
     assert headings.split()[-1] == last and {"small", "joint_reach", "tabular_q", "finished"} <= set(row.split())
