@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.evaluation.onnx_graph import to_onnx
@@ -46,11 +46,13 @@ def write_onnx(trained: Trained, file: Path) -> list[Path]:
     if isinstance(learner, TabularQ):
         name = trained.config.learner["name"]
         raise InputError(f"{trained.name}: only networks can be written as ONNX; this policy is of {name}: take .npz.")
-    contract, graphs = contract_of(trained), {file: _network(trained)}
+    names = ["q", "action"] if isinstance(learner, ApproximateQ) else ["action"]
+    inputs: dict[str, tuple[int, ...]] = {"observation": (learner.env.observation_size,)}
+    contract, graphs = contract_of(trained), {file: (lambda obs: _decision(trained, obs), inputs, names)}
     if isinstance(learner.task, LeggedTask):
         controller = graphs[file.with_name(f"{file.stem}_controller.onnx")] = _controller(trained)
-        inputs = {name: list(shape) for name, shape in controller[1].items()}
-        contract["controller"] = {"file": f"{file.stem}_controller.onnx", "inputs": inputs, "outputs": controller[2]}
+        read = {name: list(shape) for name, shape in controller[1].items()}
+        contract["controller"] = {"file": f"{file.stem}_controller.onnx", "inputs": read, "outputs": controller[2]}
     models, texts = {}, {"contract": json.dumps(contract)}
     for path, (function, inputs, outputs) in graphs.items():
         shapes = {name: jax.ShapeDtypeStruct(shape, jnp.float32) for name, shape in inputs.items()}
@@ -187,34 +189,17 @@ def _decision(trained: Trained, obs: Array) -> tuple[Array, ...]:
     return q, jnp.argmax(jnp.where(learner.allowed, q, -jnp.inf), axis=-1).astype(jnp.int32)
 
 
-def _network(trained: Trained) -> tuple[Any, dict[str, tuple[int, ...]], list[str]]:
-    """The function of an observation, its inputs and its outputs."""
-    names = ["q", "action"] if isinstance(trained.learner, ApproximateQ) else ["action"]
-    inputs: dict[str, tuple[int, ...]] = {"observation": (trained.learner.env.observation_size,)}
-    return lambda obs: _decision(trained, obs), inputs, names
-
-
-def _inputs(task: LeggedTask) -> dict[str, tuple[int, ...]]:
-    """Shapes of what the controller reads, in the order of `Readings`, then the command and its memory."""
-    joints, feet = len(task.robot.joints), len(task.robot.feet)
-    shapes = {"encoders": joints, "gyroscope": 3, "accelerometer": 3, "foot_contact": feet, "command": 3}
-    return {name: (size,) for name, size in (shapes | {"memory": _memory(task)[0].size}).items()}
-
-
-def _memory(task: LeggedTask) -> tuple[Float[Array, " memory"], Any]:
-    """What the controller remembers as a vector, before the first decision, and how to read it."""
-    state = jax.eval_shape(task.reset, jax.random.key(0)).data
-    own = state._replace(world=None, motion=None, sensors=None, plant=None)
-    zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), own)
-    return ravel_pytree((jnp.float32(0), zeros))
-
-
 def _controller(trained: Trained) -> tuple[Any, dict[str, tuple[int, ...]], list[str]]:
-    """The function of the sensors' readings, the command and the memory, as `_network`."""
+    """The function of the sensors' readings in the order of `Readings`, the command and the memory, its inputs and its
+    outputs. The memory holds 0 before the first decision, and then 1 and the episode as the robot knows it."""
     task: Any = trained.learner.task
     if task.observe == "privileged":
         raise InputError(f"{trained.name}: it observes the true motion of its torso, which no robot's sensors give.")
-    read = _memory(task)[1]
+    own = jax.eval_shape(task.reset, jax.random.key(0)).data
+    own = own._replace(world=None, motion=None, sensors=None, plant=None)
+    blank, read = ravel_pytree((jnp.float32(0), jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), own)))
+    sizes = {"encoders": len(task.robot.joints), "gyroscope": 3, "accelerometer": 3}
+    sizes |= {"foot_contact": len(task.robot.feet), "command": 3, "memory": blank.size}
 
     def control(*given: Array) -> tuple[Array, ...]:
         *readings, command, memory = given
@@ -239,4 +224,5 @@ def _controller(trained: Trained) -> tuple[Any, dict[str, tuple[int, ...]], list
         after = task.remembered(view)._replace(offsets=offsets)
         return target, ravel_pytree((jnp.float32(1), after))[0], obs
 
-    return control, _inputs(task), ["target", "memory_after", "observation"]
+    inputs: dict[str, tuple[int, ...]] = {name: (size,) for name, size in sizes.items()}
+    return control, inputs, ["target", "memory_after", "observation"]

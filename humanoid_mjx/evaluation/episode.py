@@ -101,8 +101,6 @@ def play(
     """One of the episodes that an evaluation counts; 0 is the first.
 
     Args:
-      trained: what plays.
-      episode: the number of the episode.
       tell: called after each decision with how many there were.
       told: a command that holds throughout in place of the task's own, by the names of its `told_ranges`.
       most: decisions after which the episode is left.

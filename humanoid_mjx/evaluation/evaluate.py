@@ -49,10 +49,8 @@ def play_out(trained: Trained, name: str, episodes: int) -> dict[str, np.ndarray
     keys = held_out_keys(-(-episodes // block) * block)
     learner = trained.learner
     run, number = _program(learner.task.arithmetic, learner.program), jnp.int32(AGENTS.index(name))
-    parts = [
-        jax.device_get(run(learner, trained.policy, number, keys[first : first + block]))
-        for first in range(0, len(keys), block)
-    ]
+    shares = (keys[first : first + block] for first in range(0, len(keys), block))
+    parts = [jax.device_get(run(learner, trained.policy, number, share)) for share in shares]
     columns = (np.concatenate(column)[:episodes] for column in zip(*parts, strict=True))
     return dict(zip(("success", "return", "steps", "discounted_return"), columns, strict=True))
 

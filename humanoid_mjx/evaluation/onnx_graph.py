@@ -101,7 +101,6 @@ class _Graph:
         return name
 
     def named(self, value: Any) -> str:
-        """Return the name of a value; a constant gets one."""
         if isinstance(value, str):
             return value
         self.constants.append(self.onnx.numpy_helper.from_array(np.asarray(value), f"c{len(self.constants)}"))
@@ -185,7 +184,6 @@ def _half_turn(node: Callable[..., str], y: Any, x: Any, one: Any) -> str:
 
 
 def _needed(jaxpr: Any) -> list[Any]:
-    """The operations that the results depend on."""
     needed, found = {var for var in jaxpr.outvars if not hasattr(var, "val")}, []
     for eqn in reversed(jaxpr.eqns):
         if needed.intersection(eqn.outvars):

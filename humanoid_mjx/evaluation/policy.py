@@ -30,7 +30,6 @@ from humanoid_mjx.training.state import from_arrays, to_arrays
 
 FORMAT = "humanoid_mjx policy, version 1"
 
-
 UNMODIFIED = "unmodified"
 """The physics of a robot's file as it is."""
 
@@ -226,20 +225,18 @@ def in_world(trained: Trained, physics: str | None, overrides: Sequence[str] = (
     Raises:
       InputError: the task has no choice of physics, or not this one.
     """
-    if physics is not None and "physics" not in type(trained.learner.task).model_fields:
-        raise InputError(f"--physics {physics}: the task {trained.config.task['name']} has no choice of physics.")
-    changes = [*([f"task.physics={physics}"] if physics is not None else []), *overrides]
-    return in_changed_world(trained, changes) if changes else trained
+    if physics is not None:
+        if "physics" not in type(trained.learner.task).model_fields:
+            raise InputError(f"--physics {physics}: the task {trained.config.task['name']} has no choice of physics.")
+        overrides = [f"task.physics={physics}", *overrides]
+    return in_changed_world(trained, overrides) if overrides else trained
 
 
 def in_worlds(policies: Sequence[Trained], worlds: Sequence[str | None], overrides: Sequence[str]) -> list[Trained]:
     """Each policy on each of these physics and in a changed world (`in_world`), named apart."""
-    return [
-        found._replace(name=f"{found.name}, {UNMODIFIED}") if physics == UNMODIFIED and len(worlds) > 1 else found
-        for trained in policies
-        for physics in worlds
-        for found in [in_world(trained, physics, overrides)]
-    ]
+    every = [(physics, in_world(trained, physics, overrides)) for trained in policies for physics in worlds]
+    suffix = {UNMODIFIED: f", {UNMODIFIED}"} if len(worlds) > 1 else {}
+    return [found._replace(name=found.name + suffix.get(physics or "", "")) for physics, found in every]
 
 
 def played_by(policies: Sequence[Trained]) -> list[str]:

@@ -102,12 +102,6 @@ def walking_task(task: Task) -> LeggedTask:
     return task
 
 
-def under_one_command(learner: Learner) -> Learner:
-    """The learner with a task that gives no other command before an episode ends."""
-    task = walking_task(learner.task)
-    return learner.replace(task=task.replace(command=task.command and task.command.replace(every=jnp.float32(jnp.inf))))
-
-
 def play_worlds(
     learners: Sequence[Learner],
     policies: Any,
@@ -132,8 +126,12 @@ def play_worlds(
     Raises:
       InputError: the task moves no body by commands.
     """
-    learners = [under_one_command(learner) for learner in learners]
-    task = walking_task(learners[0].task)
+    tasks: list[Any] = [walking_task(learner.task) for learner in learners]
+    task = tasks[0]
+    learners = [  # no task gives another command before an episode ends
+        learner.replace(task=task.replace(command=task.command.replace(every=jnp.float32(jnp.inf))))
+        for learner, task in zip(learners, tasks, strict=True)
+    ]
     worlds = jax.tree.map(lambda *values: jnp.stack([jnp.asarray(value) for value in values]), *learners)
     seeds = len(jax.tree.leaves(policies)[0])
     chosen = [(name, seed) for name in agents for seed in (range(seeds) if name == "greedy" else (0,))]
@@ -175,7 +173,10 @@ def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
         learner: Learner, policy: Any, number: IntScalar, command: _Commands, key: Key[Array, ""], decisions: IntScalar
     ) -> dict[str, FloatScalar]:
         decide = lambda index, loop: _decide(learner, index, policy, number, command, key, loop)  # noqa: E731
-        return _figures(learner, command, jax.lax.fori_loop(0, decisions, decide, _begin(learner, key)))
+        loop, task = jax.lax.fori_loop(0, decisions, decide, _begin(learner, key)), walking_task(learner.task)
+        turns, mass = jnp.isfinite(command.turn_at), (loop.state.data.plant or task.plant).mass
+        found = figures(loop.tally, command.command, turns, loop.fallen, task.robot, mass, task.simulator.step_s)
+        return {name: jnp.asarray(value, jnp.float32) for name, value in found.items()}
 
     for mapped in ([4], [3], [1, 2], [0]):
         episode = jax.vmap(episode, in_axes=tuple(0 if place in mapped else None for place in range(6)))
@@ -234,11 +235,3 @@ def _decide(
 
 def _where(flag: BoolScalar, chosen: Any, other: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(jnp.asarray(flag), a, b), chosen, other)
-
-
-def _figures(learner: Learner, command: _Commands, loop: _Loop) -> dict[str, FloatScalar]:
-    task = walking_task(learner.task)
-    plant = loop.state.data.plant or task.plant
-    turns = jnp.isfinite(command.turn_at)
-    found = figures(loop.tally, command.command, turns, loop.fallen, task.robot, plant.mass, task.simulator.step_s)
-    return {name: jnp.asarray(value, jnp.float32) for name, value in found.items()}

@@ -16,7 +16,6 @@ from humanoid_mjx.evaluation.policy import Trained, in_world, on_plane
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.continuous import State
-from humanoid_mjx.types import IntScalar
 
 REST_S = 1.5
 """Rest of a robot that fell before the next episode, s."""
@@ -125,9 +124,7 @@ class Live:
         return after
 
 
-@partial(jax.vmap, in_axes=(None, 0))
-def _all_begun(learner: Learner, episode: IntScalar) -> State:
-    return begun(learner, episode)
+_all_begun = jax.vmap(begun, in_axes=(None, 0))
 
 
 @partial(jax.vmap, in_axes=(None, None, 0, 0, 0, None))
@@ -138,7 +135,5 @@ def _all_decided(*args: Any) -> State:
     return jax.tree.map(partial(jnp.where, before.done), before, after)
 
 
-@jax.jit
-def _chosen(first: Any, one: State, other: State) -> State:
-    """States of `one` where `first`, else of `other`."""
-    return jax.vmap(lambda first, *states: jax.tree.map(partial(jnp.where, first), *states))(first, one, other)
+_chosen = jax.jit(jax.vmap(lambda first, one, other: jax.tree.map(partial(jnp.where, first), one, other)))
+"""(first, one, other) -> states of `one` where `first`, else of `other`."""
