@@ -29,15 +29,17 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import ground_physics as ground
 import jax
 import jax.numpy as jnp
+import leg_physics as physics
 import numpy as np
 import opponents
+import tabular
 from other_tables import naive_scan
 from trainings import nothing_compiled
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench import ground, physics, tabular
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import load
 from humanoid_mjx.tasks import make_task

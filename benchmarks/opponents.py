@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""What `humanoid-mjx bench` times beside the package where it finds this folder, in the same run.
+"""What `humanoid-mjx bench` times beside the package, in the same run.
 
 `bench tabular`: `naive_scan`, `python` and `numba` of `other_tables.py`.
 
@@ -20,8 +20,7 @@ Of the lower body on the ground:
     mujoco ground    native MuJoCo, float64, solved to convergence: `mujoco.rollout`, one thread a core, where the servo
                      is MuJoCo's own, so that no step waits for Python
 
-On a CPU, MJX runs in a process of its own. `bench training` is `trainings.py`, and `bench startup` is
-`startup.py`.
+On a CPU, MJX runs in a process of its own.
 """
 
 import contextlib
@@ -34,28 +33,23 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+import ground_physics as ground
 import jax
 import mujoco as mj
 import numpy as np
 import other_tables
-import startup
-import trainings
+from leg_physics import GOAL, KD, KP, TIMESTEP, Setting, start
 from other_calls import elsewhere, native_rollout, native_subject, with_room, with_servo
+from tabular import Made
+from timing import CONTROLLED, PLAIN, Record, Subject, on_all_devices, record, time_in_turn
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench import ground
-from humanoid_mjx.bench.measure import CONTROLLED, PLAIN, Record, Subject, on_all_devices, record, time_in_turn
-from humanoid_mjx.bench.physics import GOAL, KD, KP, TIMESTEP, Setting, start
-from humanoid_mjx.bench.tabular import Made
 from humanoid_mjx.config import load
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.robot.legs import make_mjspec
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.sweep import sweep
-
-BENCHES = {"training": trainings.run, "startup": startup.run}
-"""Benchmarks of this folder."""
 
 MASS_ERROR = 0.8
 

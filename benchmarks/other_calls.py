@@ -13,9 +13,9 @@ import jax
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
+from timing import Subject
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench.measure import Subject
 
 
 def native_subject(

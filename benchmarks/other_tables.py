@@ -1,11 +1,10 @@
-"""Tabular Q-learning on joint 1 as others would write it, by the rules of `humanoid_mjx.bench.tabular`."""
+"""Tabular Q-learning on joint 1 as others would write it, by the rules of `tabular.py`."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-
-from humanoid_mjx.bench.measure import on_devices
-from humanoid_mjx.bench.tabular import BONUS, CAP, DECAY, DISCOUNT, EPISODES, MOVES, POINTS, RATE, Made
+from tabular import BONUS, CAP, DECAY, DISCOUNT, EPISODES, MOVES, POINTS, RATE, Made
+from timing import on_devices
 
 
 def naive_scan(epsilon: np.ndarray, steps: int) -> Made:

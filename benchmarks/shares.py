@@ -12,9 +12,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from timing import Subject, time_in_turn
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench.measure import Subject, time_in_turn
 from humanoid_mjx.compute import rng
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.learners import Learner

@@ -28,9 +28,9 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import jax
+from timing import Record, spread
 from trainings import environments
 
-from humanoid_mjx.bench.measure import Record, spread
 from humanoid_mjx.config import load
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import resolved

@@ -5,7 +5,7 @@
     fused    this package's learner, as `humanoid-mjx bench tabular` times it
     cuda     the kernel of `tabular_cuda.cu` with fast arithmetic: one agent a thread, its table in shared memory
 
-Both train the agents of `humanoid_mjx.bench.tabular` by the same rules; `cuda` draws cheaper random numbers. With the
+Both train the agents of `tabular.py` by the same rules; `cuda` draws cheaper random numbers. With the
 most agents both also train the other sizes of table.
 """
 
@@ -19,9 +19,7 @@ from typing import Any
 
 import jax
 import numpy as np
-
-from humanoid_mjx import compute
-from humanoid_mjx.bench.tabular import (
+from tabular import (
     BATCHES,
     BONUS,
     CAP,
@@ -35,6 +33,8 @@ from humanoid_mjx.bench.tabular import (
     fused,
     time_trainings,
 )
+
+from humanoid_mjx import compute
 
 OTHER_MOVES = (4, 63)
 """Of the other tables that are trained. A table has a row more."""

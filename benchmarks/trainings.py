@@ -31,8 +31,8 @@ import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
 from shares import shares
+from timing import Record, spread
 
-from humanoid_mjx.bench.measure import Record, spread
 from humanoid_mjx.config import load
 from humanoid_mjx.files import names
 from humanoid_mjx.kernels import cpu_kernel

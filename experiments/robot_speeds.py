@@ -32,18 +32,18 @@ from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
-sys.path.append(str(Path(__file__).parent))
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parent.parent / "benchmarks")]
 os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from other_calls import native_rollout, with_servo
 from other_robots import file_of, touches, without_meshes  # pyright: ignore[reportMissingImports]
+from timing import joined, on_all_devices
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench import opponents
-from humanoid_mjx.bench.measure import joined, on_all_devices
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.robot import Robot, make_robot
@@ -132,7 +132,7 @@ def robot_of(name: str, folder: str) -> tuple[Robot, mujoco.MjModel, np.ndarray]
 
 def native_model(robot: Robot, published: mujoco.MjModel, servo: np.ndarray, own: bool) -> mujoco.MjModel:
     """The robot's model with its servo as MuJoCo's own; with the iterations as published if `own`."""
-    model = opponents().with_servo(robot.model, servo)
+    model = with_servo(robot.model, servo)
     fresh = mujoco.MjOption()
     for key in ("solver", "iterations", "ls_iterations", "tolerance", "ls_tolerance"):
         setattr(model.opt, key, getattr(published.opt if own else fresh, key))
@@ -158,7 +158,7 @@ def states_of(name: str, folder: str, worlds: int) -> tuple[tuple[np.ndarray, ..
     ages, steps = rng.integers(1, MOVES, DISTINCT, endpoint=True)[:, None], round(MOVE_S / model.opt.timestep)
     for move in range(MOVES):
         new = home + spread * rng.uniform(-1.0, 1.0, setpoint.shape)
-        after = opponents().native_rollout(model, qpos, qvel, steps, new)()
+        after = native_rollout(model, qpos, qvel, steps, new)()
         parts = after[:, : model.nq], after[:, model.nq :], new
         sound = np.isfinite(after).all(axis=1) & (abs(parts[1]).max(axis=1) < 80.0)
         moves = (move < ages) & sound[:, None]
@@ -268,7 +268,7 @@ def load(subject: str, name: str, folder: str, states: tuple[np.ndarray, ...]) -
         robot, published, servo = robot_of(name, folder)
         model = native_model(robot, published, servo, own=subject.endswith("published"))
         qpos, qvel, setpoint = states
-        _made["call"] = call = opponents().native_rollout(model, qpos, qvel, STEPS, setpoint)
+        _made["call"] = call = native_rollout(model, qpos, qvel, STEPS, setpoint)
         return {"sound": float(np.isfinite(call()).all(axis=1).mean())}
     shares = on_all_devices(
         lambda *at: _made[str(at[0].device)](*at), states, BLOCK.get(jax.default_backend()) or len(states[0])

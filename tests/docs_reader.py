@@ -100,7 +100,7 @@ class Reader:
         assert set(names or []) <= set(load_experiments())
 
     def bench(self, names, json, **options):
-        from humanoid_mjx.bench import BENCHES
+        from humanoid_mjx.commands.bench import BENCHES
 
         known = self.there if names and names[0] == "compare" else {*BENCHES, "all"}
         assert {*(names or [])} - {"compare"} <= known, names

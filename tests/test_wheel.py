@@ -69,3 +69,8 @@ def test_a_sweep_runs(clean):
     assert "runs/joint5/results.parquet" in done.stdout
     done = clean("-m", "humanoid_mjx", "report", "runs/joint5")
     assert done.returncode == 0 and "runs/joint5/report.html" in done.stdout, done.stderr
+
+
+def test_what_ships_measures(clean):
+    done = clean("-m", "humanoid_mjx", "bench", "compare", "a.json", "b.json")
+    assert done.returncode == 2 and "a.json: not a result of `bench --json`" in done.stderr, done.stderr

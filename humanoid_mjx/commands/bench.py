@@ -1,6 +1,8 @@
 """The command `bench`."""
 
+import sys
 from collections.abc import Sequence
+from importlib import import_module
 from json import dumps
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,14 +11,23 @@ from typer import Argument, Exit, Option
 
 from humanoid_mjx.commands import console
 
+BENCHES = {
+    "tabular": "benches:tables",
+    "physics": "benches:physics",
+    "control": "benches:control",
+    "training": "trainings:run",
+    "startup": "startup:run",
+}
+"""Module in the folder `benchmarks` and its function `(say) -> list[Record]`; the subjects are timed in turn."""
+
 
 def bench(
     names: Annotated[
         list[str] | None,
         Argument(
             metavar="[NAME]...",
-            help="tabular, physics, control or all, in a checkout also training and startup; compare OLD.json "
-            "NEW.json: two results, with exit code 1 where something became slow.",
+            help="tabular, physics, control, training, startup or all; compare OLD.json NEW.json: two results, with "
+            "exit code 1 where something became slow.",
         ),
     ] = None,
     json: Annotated[Path | None, Option(metavar="FILE", help="Write the figures as JSON.")] = None,
@@ -24,7 +35,6 @@ def bench(
 ) -> None:
     """Measure steps and episodes per second against the alternatives, compile time apart."""
     from humanoid_mjx import compute
-    from humanoid_mjx.bench import BENCHES, measuring
     from humanoid_mjx.files import write_text
     from humanoid_mjx.spec import InputError, check_folder, known
 
@@ -44,30 +54,42 @@ def bench(
     records: list[dict[str, Any]] = []
     for name in BENCHES if "all" in chosen else chosen:
         console.print(f"{name}:")
-        if (measure := measuring(name)) is None:
-            console.print("  not measured: it is part of a checkout of the repository")
-            continue
         options = {"seeds": seeds} if name == "training" and seeds is not None else {}
-        found = measure(lambda line: console.print("  " + line), **options)
+        found = measuring(name)(lambda line: console.print("  " + line), **options)
         records += [record.as_json() | {"commit": made_by["commit"]} for record in found]
     if json is not None:
         write_text(json, dumps(made_by | {"records": records}, indent=2) + "\n")
         console.print(f"{json}")
 
 
+def measuring(name: str) -> Any:
+    """The function of a benchmark."""
+    module, _, function = BENCHES[name].partition(":")
+    return getattr(_module(module), function)
+
+
+def _module(name: str) -> Any:
+    """A module of the folder `benchmarks`."""
+    from humanoid_mjx.files import folder
+
+    if (place := str(folder("benchmarks"))) not in sys.path:  # of this process, and of those that it starts
+        sys.path.insert(0, place)
+    return import_module(name)
+
+
 def compare_benches(files: Sequence[str]) -> None:
     """`humanoid-mjx bench compare`."""
-    from humanoid_mjx.bench.compare import changes, read_result, table, verdict, warnings
     from humanoid_mjx.spec import InputError
 
+    results = _module("results")
     if len(files) != 2:
         raise InputError("bench compare: give two files that `bench --json` wrote, the older first.")
-    before, after = (read_result(Path(name)) for name in files)
-    found = changes(before, after)
+    before, after = (results.read_result(Path(name)) for name in files)
+    found = results.changes(before, after)
     if not found:
         raise InputError(f"bench compare: {files[0]} and {files[1]} have no figure in common.")
-    console.print(table(found))
-    for line in (*warnings(before, after), verdict(found)):
+    console.print(results.table(found))
+    for line in (*results.warnings(before, after), results.verdict(found)):
         console.print(line, soft_wrap=True)
     if any(change.regressed for change in found):
         raise Exit(1)

@@ -7,22 +7,30 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import benches
+import ground_physics as ground
+import leg_physics as physics
 import numpy as np
 import other_tables
 import pytest
+import results as compare
+import startup
+import tabular
 import trainings as training
+from timing import Subject, spread, time_in_turn, time_rates
 from typer.testing import CliRunner
 
-from humanoid_mjx import InputError, bench, compute
-from humanoid_mjx.bench import compare, ground, measuring, opponents, physics, tabular
-from humanoid_mjx.bench.measure import Subject, spread, time_in_turn, time_rates
+from humanoid_mjx import InputError, compute
 from humanoid_mjx.cli import app
+from humanoid_mjx.commands.bench import BENCHES, measuring
 from humanoid_mjx.compute import provenance
 from humanoid_mjx.training.sweep import Run
 
 TINY = """
-from humanoid_mjx.bench import opponents, tabular
-opponents().other_tables.PYTHON_STEPS = 50
+import sys
+sys.path.append("benchmarks")
+import other_tables, tabular
+other_tables.PYTHON_STEPS = 50
 tabular.BATCHES, tabular.STEPS = {"cpu": (8,), "gpu": (8,)}, (50, 50)
 from humanoid_mjx.cli import main
 main()
@@ -58,7 +66,7 @@ def test_subjects_finish_as_many_episodes(monkeypatch):
 
 def test_control_times_every_controller():
     lines = []
-    records = physics.control(lines.append, physics.Setting((1,), 2, 2))  # one leg is on one device, and compiled once
+    records = benches.control(lines.append, physics.Setting((1,), 2, 2))  # one leg is on one device, and compiled once
     assert [(r.bench, r.subject) for r in records] == [
         ("control", name) for name in (*physics.CONTROLLERS, "none mjx-jax", "computed torque mjx-jax")
     ]
@@ -68,7 +76,7 @@ def test_control_times_every_controller():
 
 def test_the_leg_is_timed_in_every_physics():
     lines = []
-    records = physics.legs(lines.append, physics.Setting((1,), 2, 2, 2))  # one leg is on one device
+    records = benches.legs(lines.append, physics.Setting((1,), 2, 2, 2))  # one leg is on one device
     control = {f"{name} control+physics steps/s" for name in ("chain", "mjx-jax", "mjx-jax plain")}
     physical = {f"{name} physics steps/s" for name in ("chain", "mjx-jax", "mujoco")}
     assert {f"{r.subject} {r.unit}" for r in records} == control | physical
@@ -79,7 +87,7 @@ def test_the_ground_writes_a_record_for_every_physics_and_batch(monkeypatch):
     lines = []
     steps = {"mjx-jax": 25, ground.COMPUTED_TORQUE: 25, "mjx-warp": 25, "mujoco": 2}
     monkeypatch.setattr(ground, "visited", ground.states_of)
-    records = ground.run(lines.append, ground.Setting((1,), steps))
+    records = benches.bodies(lines.append, ground.Setting((1,), steps))
     subjects = ["mjx-jax ground", "mjx-jax computed torque ground", "mujoco ground"]
     subjects += ["mjx-jax ground moving", "mujoco ground moving"]
     assert [(r.subject, r.batch) for r in records] == [(name, 1) for name in subjects] and len(lines) == 5
@@ -226,7 +234,6 @@ def test_results_that_differ_are_compared_where_they_agree(tmp_path, monkeypatch
 
 def test_startup_is_measured_with_nothing_compiled_and_again():
     lines = []
-    startup = opponents().startup
     records = startup.run(lines.append, ("joint1",), ("seeds=1",), repeats=1)
     values = {(r.subject, r.unit): r.value for r in records}
     assert len(values) == len(records) and len(lines) == 2
@@ -240,13 +247,11 @@ def test_startup_is_measured_with_nothing_compiled_and_again():
         startup.run(lines.append, ("joint1",), ("learner.nothing=1",), repeats=1)
 
 
-def test_an_installed_package_times_itself_alone(monkeypatch, tmp_path):
-    assert measuring("startup") is opponents().startup.run
-    monkeypatch.setattr(bench, "folder", lambda name: tmp_path / name)
-    assert opponents() is None and measuring("startup") is None
-    assert set(physics.make_subjects(1, physics.Setting((1,), 2, 2))) == {"chain with control", "chain"}
-    lines = []
-    monkeypatch.setattr(ground, "visited", ground.states_of)
-    monkeypatch.setattr(ground, "compiled", lambda *_: lambda: np.zeros(2))
-    records = ground.run(lines.append, ground.Setting((1,), {"tree": 2, "mjx-jax": 2, "mujoco": 2}))
-    assert {record.subject for record in records} == {"tree ground", "tree ground moving"}
+def test_every_benchmark_is_found():
+    assert {name: measuring(name) for name in BENCHES} == {
+        "tabular": benches.tables,
+        "physics": benches.physics,
+        "control": benches.control,
+        "training": training.run,
+        "startup": startup.run,
+    }

@@ -8,7 +8,7 @@ outcome of every episode added to one of 100 points of a learning curve.
                  on a CPU one program per core
     fused        the same in one kernel, as a sweep runs it
 
-The folder `benchmarks` of a checkout adds other ways to write it: `benchmarks/opponents.py`.
+`opponents.py` adds other ways to write it.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,16 +16,15 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from timing import Record, Subject, on_devices, record, time_in_turn
 
 from humanoid_mjx import compute, make_learner, make_task
-from humanoid_mjx.bench import opponents
-from humanoid_mjx.bench.measure import Record, Subject, on_devices, record, time_in_turn
 from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.training import fused as gpu_kernel
 from humanoid_mjx.training.program import begin
 from humanoid_mjx.training.program import train as by_scan
-from humanoid_mjx.training.programs import TRAIN, why_no_kernel
+from humanoid_mjx.training.programs import TRAIN
 
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
@@ -50,19 +49,6 @@ class Made(NamedTuple):
     """Counts the episodes in what the call returns."""
     other: Mapping[str, Any] = {}
     """Fields of its `Subject` that differ: it trains fewer agents, or elsewhere."""
-
-
-def run(say: Callable[[str], None]) -> list[Record]:
-    """Time all subjects over several numbers of agents."""
-    others, records = opponents(), []
-    subjects = dict(SUBJECTS)
-    if why := why_no_kernel(_learner()):
-        say(f"fused: not measured, for {why}")
-        del subjects["fused"]
-    for batch in BATCHES.get(jax.default_backend(), BATCHES["gpu"]):
-        makers = subjects | (others.tables(say, first=not records) if others else {})
-        records += time_trainings(say, batch, makers)
-    return records
 
 
 def time_trainings(
@@ -91,7 +77,7 @@ def time_trainings(
     return records
 
 
-def _learner(moves: int = MOVES) -> TabularQ:
+def own_learner(moves: int = MOVES) -> TabularQ:
     task = make_task("joint_reach", joint=1, states=moves + 1, action=115.0 / moves, max_episode_steps=CAP)
     values = {"epsilon_decay": DECAY, "learning_rate": RATE, "discount": DISCOUNT}
     return make_learner("tabular_q", task, episodes=EPISODES, record=POINTS, **values)
@@ -99,7 +85,7 @@ def _learner(moves: int = MOVES) -> TabularQ:
 
 def scan(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in a scan: a thread for each device, blocks that fit the cache of a CPU."""
-    learner = _learner()
+    learner = own_learner()
     options = compute.compiler_options(learner.task.arithmetic, learner.program, every_device=True)
     train = jax.jit(jax.vmap(by_scan, in_axes=(0, 0, None)), compiler_options=options)
     return _shared_out(learner, epsilon, steps, train, CPU_BLOCK if jax.default_backend() == "cpu" else None)
@@ -108,7 +94,7 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
 def fused(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
     """This package's learner in one kernel."""
     by_kernel = jax.vmap(TRAIN, in_axes=(0, 0, None)) if jax.default_backend() == "cpu" else gpu_kernel.advance
-    return _shared_out(_learner(moves), epsilon, steps, jax.jit(by_kernel))
+    return _shared_out(own_learner(moves), epsilon, steps, jax.jit(by_kernel))
 
 
 def _shared_out(

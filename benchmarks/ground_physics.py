@@ -6,27 +6,19 @@ Those that end in `moving` are thrown about as in a training, and are the same o
 
     tree ground      this package's `Physics` written out as a tree, float32, its solver run to the exact minimum
 
-The folder `benchmarks` of a checkout adds the other physics: `benchmarks/opponents.py`.
+`opponents.py` adds the other physics.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from itertools import product
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from timing import joined, on_all_devices
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench import opponents
-from humanoid_mjx.bench.measure import (
-    Record,
-    Subject,
-    joined,
-    on_all_devices,
-    time_rates,
-)
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks import make_task
@@ -70,25 +62,6 @@ SETTINGS = {
         (256, 4096, 32_768, 131_072), {"tree": 50, "mjx-jax": 50, COMPUTED_TORQUE: 50, "mjx-warp": 50, "mujoco": 100}
     ),
 }
-
-
-def run(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
-    """Time every physics that is installed over several numbers of bodies, calm and moving."""
-    setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
-    others = opponents()
-    records: list[Record] = []
-    for batch, moving in product(setting.batches, (False, True)):
-        subjects: dict[str, Subject] = {}
-        for name, steps in setting.steps.items():
-            if name == "tree":
-                call = compiled(name, *states_of(batch, moving), steps, MOVING_BLOCK if moving else BLOCK)
-                subject = Subject(call, batch * steps, batch, REPEATS)
-            else:
-                subject = others.on_ground(name, batch, moving, steps) if others else None
-            if subject is not None:
-                subjects[f"{name} ground" + " moving" * moving] = subject
-        records += time_rates("physics", subjects, say, "bodies")
-    return records
 
 
 States = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -12,8 +12,7 @@
     partitioned PD     with the inertia of every joint in its posture, from a model
     computed torque    with the whole dynamics of a model
 
-A step is one of physics, with its control where there is control. The folder `benchmarks` of a checkout adds MJX and
-native MuJoCo: `benchmarks/opponents.py`.
+A step is one of physics, with its control where there is control. `opponents.py` adds MJX and native MuJoCo.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,17 +22,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from timing import on_all_devices
 
 from humanoid_mjx import compute
-from humanoid_mjx.bench import ground, opponents
-from humanoid_mjx.bench.measure import (
-    CONTROLLED,
-    PLAIN,
-    Record,
-    Subject,
-    on_all_devices,
-    time_rates,
-)
 from humanoid_mjx.control import Reference, at_rest, pd, servo
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.robot.chain import Chain
@@ -69,62 +60,6 @@ SETTINGS = {
     "gpu": Setting((256, 4096, 32_768, 262_144, 1_048_576), 500, 100),
 }
 CONTROL = {"cpu": Setting((1024, 8192), 500, 10), "gpu": Setting((32_768, 1_048_576), 500, 50)}
-
-
-def run(say: Callable[[str], None]) -> list[Record]:
-    """Time the leg, then the lower body on the ground, then, in a checkout, training in simulation."""
-    others = opponents()
-    return legs(say) + ground.run(say) + (others.postures(say) if others else [])
-
-
-def legs(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
-    """Time the leg in every physics over several numbers of legs."""
-    setting = setting or SETTINGS.get(jax.default_backend(), SETTINGS["gpu"])
-    records: list[Record] = []
-    for batch in setting.batches:
-        subjects = make_subjects(batch, setting)
-        found = time_rates("physics", subjects, say, "legs")
-        ours, *others = zip(subjects, found, strict=True)
-        words = (f"{ours[1].value / other.value:.1f} x {name}" for name, other in others)
-        say(f"{ours[0]}: {', '.join(words)}")
-        records += found
-    return records
-
-
-def control(say: Callable[[str], None], setting: Setting | None = None) -> list[Record]:
-    """Time the leg under every controller over several numbers of legs."""
-    setting = setting or CONTROL.get(jax.default_backend(), CONTROL["gpu"])
-    records: list[Record] = []
-    for batch in setting.batches:
-        steps = setting.chain_steps
-        subjects = {
-            name: Subject(chain(batch, steps, name, FINE_TIMESTEP), batch * steps, batch, unit=_unit(name))
-            for name in CONTROLLERS
-        }
-        if others := opponents():
-            subjects |= others.controlled(batch, setting)
-        found = {one.subject: one for one in time_rates("control", subjects, say, "legs")}
-        for name, one in found.items():
-            bare = found["none mjx-jax" if name.endswith("mjx-jax") else "none"]
-            if one is not bare:
-                say(f"{name}: {1e9 * (1 / one.value - 1 / bare.value):.3g} ns a step for control")
-        records += found.values()
-    return records
-
-
-def _unit(name: str) -> str:
-    return PLAIN if name.startswith("none") else CONTROLLED
-
-
-def make_subjects(batch: int, setting: Setting) -> dict[str, Subject]:
-    """The subjects of `legs` for a number of legs; those that are controlled end in "with control"."""
-    steps = setting.chain_steps
-    subjects = {
-        "chain with control": Subject(chain(batch, steps, "computed torque"), batch * steps, batch),
-        "chain": Subject(chain(batch, steps, "none"), batch * steps, batch, unit=PLAIN),
-    }
-    others = opponents()
-    return subjects | (others.legs(batch, setting) if others else {})
 
 
 def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
