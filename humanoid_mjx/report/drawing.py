@@ -69,10 +69,8 @@ def draw_band(
     """Draw the median over seeds and its 95 % interval where every seed that has any number has one.
 
     Args:
-      panel: the axes of matplotlib.
       x: the places, ordered if `joined`.
       curves: NaN where there is no number.
-      color: of the line and its band.
       band: whether to draw the interval.
       joined: whether to draw a line through the places; else each has a bar for its interval.
       most: the greatest possible value; of a share, whose least one is 0.
@@ -119,13 +117,10 @@ def draw_line(
     """Draw one line with its band from rows of a table: the value of a seed at a place is the mean of its rows.
 
     Args:
-      panel: the axes of matplotlib.
       x: (rows,) of numbers.
       seed: (rows,) of integers.
       y: (rows,) of numbers, NaN where there is none.
-      color: of the line and its band.
       place: (rows,) Which rows belong together; by default those of equal `x`. A place is drawn at its mean `x`.
-      look: as of `draw_band`.
     """
     places, p = np.unique(x if place is None else place, return_inverse=True)
     seeds, s = np.unique(seed, return_inverse=True)

@@ -23,7 +23,7 @@ from humanoid_mjx.report.drawing import (
     possible,
 )
 from humanoid_mjx.report.parameters import draw_importance, draw_parallel, draw_points, heat_maps
-from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades, wrapped
+from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades
 from humanoid_mjx.runs.curves import Learning, read_learning
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.ranking import MEASURES, SAME, Judged, find_levels, short
@@ -136,12 +136,8 @@ def averaged(learning: Learning) -> str:
     """Meaning of the lines and bands of learning curves, in words."""
     each = over_seeds(learning.seeds)
     if not by_value(learning):
-        axes = ", ".join(axis.rpartition(".")[2] for axis in learning.axes)
-        some = (
-            f"the best {MAX_CURVES} of {len(learning.points)} points"
-            if len(learning.points) > MAX_CURVES
-            else "a line a point"
-        )
+        axes, points = ", ".join(axis.rpartition(".")[2] for axis in learning.axes), len(learning.points)
+        some = f"the best {MAX_CURVES} of {points} points" if points > MAX_CURVES else "a line a point"
         return f"{some}, by {axes}; {each}" if axes else each
     if len(learning.axes) == 1:
         return each
@@ -155,8 +151,7 @@ def averaged(learning: Learning) -> str:
 def side_by_side(path: Path, titles: Sequence[str], heading: str) -> Iterator[list[Any]]:
     """A figure of panels in rows of `PANELS_IN_A_ROW`, each under its title."""
     columns = min(len(titles), PANELS_IN_A_ROW)
-    with figure(path, -(-len(titles) // columns), columns) as (fig, panels):
-        fig.suptitle(wrapped(heading, fig), x=0.01, ha="left")
+    with figure(path, -(-len(titles) // columns), columns, heading=heading) as (_, panels):
         for panel in panels.flat[len(titles) :]:
             panel.set_axis_off()
         for panel, title in zip(panels.flat, titles, strict=False):
@@ -174,8 +169,7 @@ def learning_curves(path: Path, title: str, learning: Learning, own: Sequence[Fi
             for panel, each in zip(panels, rows, strict=True):
                 each.draw(panel, learning, axis)
         return
-    with figure(path, len(rows), len(axes), sharey="row") as (fig, panels):
-        fig.suptitle(wrapped(heading, fig), x=0.01, ha="left")
+    with figure(path, len(rows), len(axes), heading=heading, sharey="row") as (_, panels):
         for (row, each), (column, axis) in product(enumerate(rows), enumerate(axes)):
             panel = panels[row, column]
             if column > 0 and not each.by_axis:
@@ -201,17 +195,14 @@ class Drawn(NamedTuple):
 
 def _drawn(learning: Learning, axis: str | None, values: Float[np.ndarray, "points seeds ..."]) -> list[Drawn]:
     """The lines of a panel: one for each value of a parameter, or for each of the best points."""
-    rank = np.empty(len(learning.order), int)
-    rank[list(learning.order)] = np.arange(len(rank))
+    rank = np.argsort(learning.order)
     if axis is None and learning.axes:
         labels = [", ".join(short(column[point]) for column in learning.axes.values()) for point in learning.order]
         best = list(zip(labels, learning.order, strict=True))[:MAX_CURVES]
         if learning.mode == "zip":
             best.sort(key=lambda each: each[1])
-        return [
-            Drawn(label, color, values[point], None)
-            for (label, point), color in zip(best, shades(len(best)), strict=True)
-        ]
+        colors = shades(len(best))
+        return [Drawn(label, color, values[at], None) for (label, at), color in zip(best, colors, strict=True)]
     if axis is None:
         return [Drawn("all", shades(1)[0], values[0], None)]
     levels, found = find_levels(learning.axes[axis]), []
@@ -229,11 +220,10 @@ def draw_curves(panel: Any, learning: Learning, axis_name: str | None, name: str
       the last value of each solid line by its label; NaN where there is none.
     """
     lines, most = _drawn(learning, axis_name, learning.read(name)), possible(name)
+    dashed: dict[str, Any] = {"band": False, "linestyle": "--", "linewidth": 0.9, "alpha": 0.8}
     for line in lines:
         if line.mean is not None:
-            draw_band(
-                panel, learning.places, line.mean, line.color, band=False, linestyle="--", linewidth=0.9, alpha=0.8
-            )
+            draw_band(panel, learning.places, line.mean, line.color, **dashed)
     ends = [draw_band(panel, learning.places, each.best, each.color, most=most, label=each.label).end for each in lines]
     if learning.axes:
         label_lines(panel, None if axis_name else ", ".join(axis.rpartition(".")[2] for axis in learning.axes))
@@ -254,9 +244,7 @@ def draw_greedy(panel: Any, learning: Learning, axis_name: str | None, name: str
     labels = [each.label for each in lines]
     crowded = len("".join(labels)) > 36
     panel.set_xticks(range(len(lines)), labels, rotation=45 if crowded else 0, ha="right" if crowded else "center")
-    panel.set_xlabel(
-        "after training; dots: the best setting, diamonds: the mean" if len(learning.axes) > 1 else "after training"
-    )
+    panel.set_xlabel("after training" + "; dots: the best setting, diamonds: the mean" * (len(learning.axes) > 1))
     panel.set_ylabel(textwrap.fill(HEAT_MAPS[name], 28))
     return {each.label: float(np.median(each.best)) for each in lines}
 

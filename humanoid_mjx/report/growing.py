@@ -102,10 +102,8 @@ class Growing(Reporter):
         """Start a process that draws the robot under the best policy of a run folder. To compile in this process could
         crash a training on a GPU. The process fails if the task moves no robot."""
         command = [sys.executable, "-m", "humanoid_mjx", "play", name, "--trust", "--out", str(self._picture)]
-        none = subprocess.DEVNULL
-        self._player = subprocess.Popen(
-            command, env=os.environ | {"JAX_PLATFORMS": "cpu"}, stdin=none, stdout=none, stderr=none
-        )
+        env, none = os.environ | {"JAX_PLATFORMS": "cpu"}, subprocess.DEVNULL
+        self._player = subprocess.Popen(command, env=env, stdin=none, stdout=none, stderr=none)
 
     def _run(self) -> None:
         took, played = 0.0, -PLAY_S
@@ -193,25 +191,18 @@ def best_so_far(curves: Curves, most: int | None = BEST_POINTS) -> tuple[list[st
     for index in np.flatnonzero(shown.any(axis=1)).tolist():
         runs = shown[index]
         place = int(known[index, runs].min()) - 1
-        means = [_last(measures[name][index, runs, : place + 1].mean(axis=0)) for name in names]
+        means = [measures[name][index, runs, : place + 1].mean(axis=0) for name in names]
+        means = [float(next(iter(mean[np.isfinite(mean)][::-1]), np.nan)) for mean in means]
         rows.append((means, int(curves.points[index]), int(runs.sum()), int(curves.places[place])))
     better = {"success": -1.0, **({"return": -1.0} if plan.config.episodes is None else {"steps": 1.0})}
     judged = [(names.index(name), sign) for name, sign in better.items() if name in names]
     rows.sort(key=lambda row: [np.nan_to_num(sign * row[0][place], nan=np.inf) for place, sign in judged])
     cells = [
-        [str(point), *map(short, plan.points[point].values()), str(seeds), f"{count:,}", *map(_known, means)]
+        [str(point), *map(short, plan.points[point].values()), str(seeds), f"{count:,}"]
+        + [short(mean) if np.isfinite(mean) else "" for mean in means]
         for means, point, seeds, count in rows[:most]
     ]
     return ["point", *plan.points[0], "seeds", f"{plan.unit}s trained", *names], cells
-
-
-def _last(values: np.ndarray) -> float:
-    """The last finite value; NaN where there is none."""
-    return float(next(iter(values[np.isfinite(values)][::-1]), np.nan))
-
-
-def _known(value: float) -> str:
-    return short(value) if np.isfinite(value) else ""
 
 
 def _measured(curves: Curves) -> tuple[dict[str, np.ndarray], np.ndarray]:

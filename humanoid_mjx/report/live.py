@@ -18,6 +18,7 @@ from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live
 from humanoid_mjx.report.scene import make_scene, player_figure, posed, poses, rounded, scene_data
 from humanoid_mjx.report.server import LOOPBACK, Server
 from humanoid_mjx.report.web import page
+from humanoid_mjx.robot.description import two_digits
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.legged.events import Push
 
@@ -42,10 +43,8 @@ def serve(live: Live, told: Callable[[str], None], *, port: int = 0, browse: boo
     """Show a live robot in the browser until Ctrl-C, from a server that only this machine can reach.
 
     Args:
-      live: the robot.
       told: called with the address, once it answers.
       port: of the server; 0: any that is free.
-      browse: open the browser there.
 
     Raises:
       InputError: the port is taken.
@@ -182,7 +181,6 @@ class Window:
                 setattr(live.stage.hands, name, value)
 
     def _read(self, name: str, value: Any) -> Any:
-        """Check a part of a message."""
         if name == "told":
             return {part: _within(number, *self.live.ranges[part]) for part, number in value.items()}
         if name == "grab" and self.live.touchable:
@@ -289,8 +287,8 @@ def _scales(live: Live) -> dict[str, Scale]:
     trained = float(push.impulse) * task.robot.momentum if push.impulse > 0 else 0.0
     usual = (1.0 + float(push.least)) / 2 * trained or GENTLE * hardest
     scales = {
-        "push": Scale(0.0, _short(max(hardest, trained)), _short(min(usual, hardest / 3)), "push, N s"),
-        "payload": Scale(0.0, _short(PAYLOAD * mass), 0.0, "payload, kg"),
+        "push": Scale(0.0, two_digits(max(hardest, trained)), two_digits(min(usual, hardest / 3)), "push, N s"),
+        "payload": Scale(0.0, two_digits(PAYLOAD * mass), 0.0, "payload, kg"),
     }
     if len(first.planes):
         scales["slope"] = Scale(-SLOPE, SLOPE, 0.0, "slope, degrees uphill")
@@ -320,7 +318,3 @@ def _within(value: Any, low: float, high: float) -> float:
 def _place(values: Any) -> Float[np.ndarray, "3"]:
     x, y, z = values
     return np.array([_within(each, -1e6, 1e6) for each in (x, y, z)])
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.2g}")

@@ -9,7 +9,7 @@ from jaxtyping import Float, Num
 from scipy.special import stdtrit
 
 from humanoid_mjx.report.drawing import cell_mean, mean_known
-from humanoid_mjx.report.style import COLORS, figure, is_geometric, log_axis, plt, wrapped
+from humanoid_mjx.report.style import COLORS, figure, is_geometric, log_axis, plt
 from humanoid_mjx.runs.curves import Learning
 from humanoid_mjx.runs.ranking import MEASURES, Judged, find_levels, short
 
@@ -105,10 +105,9 @@ def draw_parallel(panel: Any, learning: Learning, axis_name: str | None) -> dict
 def heat_maps(path: Path, title: str, learning: Learning, name: str) -> None:
     """A panel for every two swept parameters, in a row for the mean over all others, and one for the best of these."""
     pairs, rows = list(combinations(learning.axes, 2)), ["mean"] if len(learning.axes) < 3 else ["best setting", "mean"]
-    with figure(path, len(rows), len(pairs), size=(4.2, 3.4)) as (fig, panels):
-        others = f"; of the other parameters the {' (above) and the '.join(rows)}" if len(rows) > 1 else ""
-        fig.suptitle(wrapped(f"{title}: mean over seeds{others}; yellow is best", fig), x=0.01, ha="left")
-        span = limits(learning, name)
+    others = f"; of the other parameters the {' (above) and the '.join(rows)}" if len(rows) > 1 else ""
+    heading, span = f"{title}: mean over seeds{others}; yellow is best", limits(learning, name)
+    with figure(path, len(rows), len(pairs), (4.2, 3.4), heading) as (fig, panels):
         for (row, of), (column, pair) in product(enumerate(rows), enumerate(pairs)):
             image = draw_map(panels[row, column], learning, pair, name, span, of != "mean")
         if span[0] < span[1]:
@@ -129,11 +128,8 @@ def draw_map(
     panel.grid(False)
     for set_ticks, axis, of in zip((panel.set_xticks, panel.set_yticks), pair, levels, strict=True):
         every = -(-len(of.labels) // MAX_LABELS)
-        turned = (
-            {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}
-            if len("".join(of.labels)) > 24 and axis == pair[0]
-            else {}
-        )
+        crowded = len("".join(of.labels)) > 24 and axis == pair[0]
+        turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if crowded else {}
         set_ticks(range(0, len(of.labels), every), of.labels[::every], fontsize=8, **turned)
     panel.set_xlabel(pair[0])
     panel.set_ylabel(pair[1])
@@ -176,9 +172,7 @@ def map_cells(learning: Learning, pair: tuple[str, str], name: str, best: bool) 
     values, shape = of_points(learning, name), (len(y.labels), len(x.labels))
     if not best:
         return cell_mean(y.index, x.index, values, shape)
-    found, (first, of) = np.full(shape, np.nan), (np.inf, np.fmin)
-    if best_is_most(learning, name):
-        first, of = -np.inf, np.fmax
-    found[:] = first
+    first, of = (-np.inf, np.fmax) if best_is_most(learning, name) else (np.inf, np.fmin)
+    found = np.full(shape, first)
     of.at(found, (y.index, x.index), values)
     return np.where(np.isfinite(found), found, np.nan)

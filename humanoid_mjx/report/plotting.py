@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.ticker import NullLocator
 
 from humanoid_mjx.report.drawing import COUNTED, CURVES, HEAT_MAPS, draw_line, over_seeds, possible
-from humanoid_mjx.report.style import COLORS, count_axis, figure, is_geometric, label_lines, log_axis, shades, wrapped
+from humanoid_mjx.report.style import COLORS, count_axis, figure, is_geometric, label_lines, log_axis, shades
 from humanoid_mjx.runs.curves import swept
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.ranking import MAX_LEVELS, Levels, find_levels, short
@@ -163,13 +163,13 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
         raise InputError(f"plot: no row has a number for {' and '.join(name for name in (x, by) if name)}.")
     parts = [part.replace(".", "_") for part in (y, "over", x, *(("by", by) if by else ()))]
     target = out or paths[0] / "figures" / f"{'_'.join(parts)}.png"
-    with figure(target, 1, 1, size=(6.4, 4.2)) as (fig, panels):
-        panel, across = panels[0, 0], _across(rows, x)
-        others = [axis for axis in rows.axes if axis not in (x, by)] if across.joined else []
-        words = _seeds(rows, "seed" in (x, by), "band" if across.joined else "bar")
-        words += ", over all values of the other parameters" * bool(others)
-        each = "" if across.joined else "each point of the sweep, "
-        fig.suptitle(wrapped(f"{', '.join(rows.runs)}: {each}{words}", fig), x=0.01, ha="left")
+    across = _across(rows, x)
+    others = [axis for axis in rows.axes if axis not in (x, by)] if across.joined else []
+    words = _seeds(rows, "seed" in (x, by), "band" if across.joined else "bar")
+    words += ", over all values of the other parameters" * bool(others)
+    each = "" if across.joined else "each point of the sweep, "
+    with figure(target, 1, 1, (6.4, 4.2), f"{', '.join(rows.runs)}: {each}{words}") as (_, panels):
+        panel = panels[0, 0]
         left_out = _draw(panel, rows, across, x, y, by)
         if others and by is None and x not in axes:
             left_out.append(f"One line for all values of {', '.join(others)}; --by {others[0]} tells them apart.")
@@ -205,9 +205,8 @@ def _draw(panel: Any, rows: Rows, across: Across, x: str, y: str, by: str | None
         place = None if across.place is None else across.place[line.chosen]
         at, seeds, values = (each[line.chosen] for each in (across.x, seed, columns[y]))
         look = (look if across.joined else {}) | {"label": line.label or "_"}
-        drawn.append(
-            draw_line(panel, at, seeds, values, line.color, place=place, joined=across.joined, most=possible(y), **look)
-        )
+        look |= {"place": place, "joined": across.joined, "most": possible(y)}
+        drawn.append(draw_line(panel, at, seeds, values, line.color, **look))
     _ticks(panel, across, x in (rows.counter, TIME))
     heading = by or (RUN if len(rows.runs) > 1 else "")
     if across.joined and heading:

@@ -107,9 +107,8 @@ def _fitting(text: str, width: float, letter: int, bold: bool) -> str:
 @lru_cache
 def _font(letter: int, bold: bool) -> ImageFont.FreeTypeFont:
     """The font that matplotlib brings."""
-    return ImageFont.truetype(
-        findfont(FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")), letter
-    )
+    look = FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")
+    return ImageFont.truetype(findfont(look), letter)
 
 
 WIDTH, HEIGHT = 480, 360
@@ -129,9 +128,6 @@ def render_film(
     """Write a film to a file: .gif, .mp4 or .webm as a video, .png as up to six of its frames side by side.
 
     Args:
-      film: what is shown.
-      path: the file.
-      fps: frames a second.
       size: width and height, pixels; by default 480 x 360.
       tell: called for each frame with the number painted and the number of all frames.
 
@@ -139,20 +135,23 @@ def render_film(
       InputError: another kind of file, one that cannot be written, or .mp4 and .webm without the extra `video`.
     """
     check_file(path)
-    qpos, times = film.at(fps)
-    if path.suffix == ".png":
-        chosen = np.unique(np.linspace(0, len(qpos) - 1, STRIP).astype(int))
-        qpos, times = qpos[chosen], times[chosen]
-    write_frames(_annotated(film, qpos, times, tell, size=size), path, fps)
+    frames = _few(film, fps) if path.suffix == ".png" else film.at(fps)
+    write_frames(_annotated(film, *frames, tell, size=size), path, fps)
     return path
+
+
+def _few(film: Film, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """`STRIP` postures of a film, evenly spaced from first to last, and their times, s."""
+    qpos, times = film.at(fps)
+    chosen = np.unique(np.linspace(0, len(qpos) - 1, STRIP).astype(int))
+    return qpos[chosen], times[chosen]
 
 
 def strip(film: Film) -> list[tuple[Frame, float]]:
     """`STRIP` frames of a film, evenly spaced from first to last, without title and clock, and their times, s."""
-    qpos, times = film.at(FPS)
-    chosen = np.unique(np.linspace(0, len(qpos) - 1, STRIP).astype(int))
-    frames = _annotated(film._replace(title=""), qpos[chosen], times[chosen], lambda done, total: None, clock=False)
-    return list(zip(frames, times[chosen].tolist(), strict=True))
+    qpos, times = _few(film, FPS)
+    frames = _annotated(film._replace(title=""), qpos, times, lambda done, total: None, clock=False)
+    return list(zip(frames, times.tolist(), strict=True))
 
 
 def draw(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> list[Frame]:
@@ -224,7 +223,6 @@ def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
 
 
 def _encode(frames: Iterable[Frame], path: Path, fps: float) -> None:
-    """Let ffmpeg make a video."""
     import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
 
     rest = iter(frames)

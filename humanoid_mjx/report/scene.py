@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.mechanics.terrain import Terrain
+from humanoid_mjx.robot.description import two_digits
 from humanoid_mjx.types import AnyArray
 
 VIEW = 1.12
@@ -152,7 +153,7 @@ def colored(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
 
 def _share(model: mujoco.MjModel, share: float) -> float:
     """A share of the extent of a robot, m, to two digits."""
-    return float(f"{share * model.stat.extent:.2g}")
+    return two_digits(share * model.stat.extent)
 
 
 def _is_plane(model: mujoco.MjModel, geom: int) -> bool:

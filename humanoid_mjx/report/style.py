@@ -46,9 +46,14 @@ DRAWING = threading.RLock()
 
 @contextmanager
 def figure(
-    path: Path | io.BytesIO, rows: int, columns: int, size: tuple[float, float] = (4.2, 3.0), **kwargs: Any
+    path: Path | io.BytesIO,
+    rows: int,
+    columns: int,
+    size: tuple[float, float] = (4.2, 3.0),
+    heading: str = "",
+    **kwargs: Any,
 ) -> Iterator[Any]:
-    """A grid of axes, (rows, columns), saved to `path` at the end; `size` is of one of them, in inches.
+    """A grid of axes, (rows, columns), under a heading, saved to `path` at the end; `size` is of one, in inches.
 
     One thread draws at a time. A figure saved in memory is SVG without a background, its letters drawn as paths; its
     bytes are the same each time.
@@ -58,6 +63,8 @@ def figure(
             rows, columns, figsize=(size[0] * columns, size[1] * rows), squeeze=False, layout="constrained", **kwargs
         )
         try:
+            if heading:
+                fig.suptitle(wrapped(heading, fig), x=0.01, ha="left")
             yield fig, axes
             if isinstance(path, Path):
                 path.parent.mkdir(exist_ok=True)  # not those above: a run folder that is gone stays so

@@ -198,19 +198,19 @@ class Robot(Named):
 
     def force(self, share: float) -> float:
         """A share of the weight, N, rounded to two digits, as all thresholds are."""
-        return _two_digits(share * self.mass * float(np.linalg.norm(self.model.opt.gravity)))
+        return two_digits(share * self.mass * float(np.linalg.norm(self.model.opt.gravity)))
 
     def length(self, share: float) -> float:
         """A share of the legs' length, m, to two digits."""
-        return _two_digits(share * self.leg_length)
+        return two_digits(share * self.leg_length)
 
     def speed(self, share: float) -> float:
         """A share of `pace`, m/s, to two digits."""
-        return _two_digits(share * self.pace)
+        return two_digits(share * self.pace)
 
     def square(self, share: float) -> float:
         """A share of the square of `pace`, m^2/s^2."""
-        return _two_digits(share * self.pace**2)
+        return two_digits(share * self.pace**2)
 
     @property
     def joint_images(self) -> tuple[Int[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
@@ -372,5 +372,6 @@ def _joint_images(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return order, signs if robot.mirror else np.ones(len(joints))
 
 
-def _two_digits(value: float) -> float:
+def two_digits(value: float) -> float:
+    """Round a number to two digits."""
     return float(f"{value:.2g}")

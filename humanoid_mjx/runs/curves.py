@@ -72,7 +72,10 @@ def read_learning(path: Path, config: Mapping[str, Any], summary: Mapping[str, n
     seeds, column = np.unique(summary["seed"], return_inverse=True)
 
     def read(name: str) -> np.ndarray:
-        return _in_place(read_table(file, [name])[name].reshape(runs, record), row, column, (len(points), len(seeds)))
+        curves = read_table(file, [name])[name].reshape(runs, record)
+        found = np.full((len(points), len(seeds), record), np.nan, curves.dtype)
+        found[row, column] = curves
+        return found
 
     place = {int(number): index for index, number in enumerate(points)}
     return Learning(
@@ -119,12 +122,3 @@ def of_rows(
         [points.tolist().index(each) for each in order] or list(range(len(points))),
         lambda: dict(rows),
     )
-
-
-def _in_place(runs: np.ndarray, row: np.ndarray, column: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """The curves of runs by point and seed; as they are where none is missing."""
-    if len(runs) == shape[0] * shape[1] and (row * shape[1] + column == np.arange(len(runs))).all():
-        return runs.reshape(*shape, -1)
-    found = np.full((*shape, runs.shape[1]), np.nan)
-    found[row, column] = runs
-    return found
