@@ -107,7 +107,6 @@ def _show(
 
 
 def _pixels(size: str) -> tuple[int, int]:
-    """Width and height of `--size`."""
     from humanoid_mjx.spec import InputError
 
     found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)

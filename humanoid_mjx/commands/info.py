@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 from rich.filesize import decimal
 from rich.table import Table
 
@@ -11,22 +12,28 @@ from humanoid_mjx import compute
 from humanoid_mjx.commands import console
 from humanoid_mjx.config import dump_yaml, load
 from humanoid_mjx.files import meant, names
-from humanoid_mjx.spec import InputError, known
+from humanoid_mjx.keys import keys_of
+from humanoid_mjx.learners import LEARNERS, Learner
+from humanoid_mjx.mechanics.tree.refusing import faults
+from humanoid_mjx.physics.survey import survey
+from humanoid_mjx.robot import ROBOTS, make_robot
+from humanoid_mjx.robot.declared import Declaration, describes_robot
+from humanoid_mjx.robot.description import IMU
+from humanoid_mjx.robot.differences import HEADINGS, differences_of
+from humanoid_mjx.robot.holding import in_words
+from humanoid_mjx.spec import InputError, find, known, modules_in
+from humanoid_mjx.tasks import TASKS
+from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
+from humanoid_mjx.training.pace import MEASURED_S, estimate, time_in_words
+from humanoid_mjx.training.plan import Plan, make_plan
+from humanoid_mjx.training.programs import why_no_kernel
 from humanoid_mjx.training.progress import Bar, counted
-
-if TYPE_CHECKING:
-    from humanoid_mjx.training.plan import Plan
+from humanoid_mjx.training.warm_start import earlier_policies
 
 
 def show_keys(name: str | None) -> None:
     """`humanoid-mjx info [NAME] --keys`: of a task, a learner, or both of a config; of all tasks and learners."""
-    from humanoid_mjx.keys import keys_of
-    from humanoid_mjx.learners import LEARNERS, Learner
-    from humanoid_mjx.robot.declared import Declaration, describes_robot
-    from humanoid_mjx.spec import find, modules_in
-    from humanoid_mjx.tasks import TASKS
-    from humanoid_mjx.tasks.base import Task
-
     if name == "robot" or (name and describes_robot(name)):
         rows = [("key", "default", "values", "meaning")]
         keys = list(keys_of(Declaration, ""))
@@ -54,10 +61,6 @@ def show_keys(name: str | None) -> None:
 
 def _check_name(name: str) -> None:
     """Raise an InputError for a name that stands for nothing."""
-    from humanoid_mjx.learners import LEARNERS
-    from humanoid_mjx.robot import ROBOTS
-    from humanoid_mjx.tasks import TASKS
-
     there = [*TASKS, *LEARNERS, *ROBOTS, *names("robots", ".yaml"), *names("configs", ".yaml")]
     if name not in there and not Path(name).exists():
         instead = meant(name, "config", "robot", "model") or f"; {known(name, there, 'info')}"
@@ -66,14 +69,6 @@ def _check_name(name: str) -> None:
 
 def _show_robot(name: str) -> None:
     """`humanoid-mjx info ROBOT`: what follows from its files or its class, and which physics take it."""
-    import numpy as np
-
-    from humanoid_mjx.mechanics.tree.refusing import faults
-    from humanoid_mjx.robot import make_robot
-    from humanoid_mjx.robot.description import IMU
-    from humanoid_mjx.robot.differences import HEADINGS
-    from humanoid_mjx.robot.holding import in_words
-
     robot = make_robot(name)
     order, signs = robot.joint_images
     limited = robot.model.jnt_limited[robot.driven]
@@ -113,8 +108,6 @@ def _print_rows(title: str, rows: Sequence[tuple[str, ...]]) -> None:
 
 def show_model(path: str) -> bool:
     """`humanoid-mjx info ROBOT.xml`; whether `physics: tree` takes it."""
-    from humanoid_mjx.physics.survey import survey
-
     lines, taken = survey(path)
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
@@ -124,11 +117,6 @@ def show_model(path: str) -> bool:
 def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None:
     """`humanoid-mjx info`."""
     compute.start()
-    from humanoid_mjx.learners import LEARNERS
-    from humanoid_mjx.robot import ROBOTS
-    from humanoid_mjx.robot.declared import describes_robot
-    from humanoid_mjx.tasks import TASKS
-
     if config is not None:
         if config in ROBOTS or describes_robot(config):
             _show_robot(config)
@@ -150,19 +138,12 @@ def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None
 
 def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     """A config in full, and what its sweep will take; where `timed` also how long."""
-    from humanoid_mjx.robot.differences import HEADINGS, differences_of
-    from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
-    from humanoid_mjx.training.plan import make_plan
-    from humanoid_mjx.training.programs import why_no_kernel
-    from humanoid_mjx.training.warm_start import earlier_policies
-
     plan = make_plan(load(config, overrides))
     console.print(dump_yaml(plan.resolved()).rstrip())
     _print_rows("", [HEADINGS, *dict.fromkeys(row for own in plan.learners for row in differences_of(own.task))])
     size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
     most = max(training_bytes(group) for group in plan.groups)
-    together = [1] * len(plan.groups)
-    refusal = None
+    together, refusal = [1] * len(plan.groups), None
     try:
         for group in plan.groups:
             earlier_policies(group)
@@ -186,11 +167,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
         console.print(f"how long it takes here: humanoid-mjx info {config} --time measures a piece of it")
 
 
-def _show_time(plan: "Plan") -> None:
-    """Print an estimate of the time that a sweep takes."""
-    from humanoid_mjx.training.cost import runs_at_once
-    from humanoid_mjx.training.pace import MEASURED_S, estimate, time_in_words
-
+def _show_time(plan: Plan) -> None:
     with Bar(console) as bar:
         bar.phase("compiling and training a piece of it")
         found = estimate(plan, [runs_at_once(group, width=plan.width(group)) for group in plan.groups])

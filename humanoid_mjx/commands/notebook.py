@@ -41,10 +41,7 @@ def load_run(path: Path | str) -> Run:
 
 
 def draw(run: Run | Path | str) -> list[Picture]:
-    """Draw the figures that the command `sweep` draws: the learning curves, and those of the swept values.
-
-    Args:
-      run: a run or its folder; the figures are written into its `figures/`.
+    """Draw the figures that the command `sweep` draws into the run's `figures/`: learning curves, and swept values.
 
     Raises:
       InputError: this is no run folder.

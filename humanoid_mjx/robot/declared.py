@@ -133,11 +133,15 @@ class Declared(Robot):
         own = _read(find(self.name)).values
         return {key: value for key, value in own.items() if key not in ("name", "content")}
 
-    def in_file(self) -> tuple[mujoco.MjSpec, str]:
+    def _upright(self) -> tuple["Source", mujoco.MjSpec, mujoco.MjModel]:
+        """The files, and the MJCF with an upright trunk."""
         source = _read(find(self.name))
         spec = _load(source.model)[0]
         set_upright(spec, source.turn)
-        model = checked(spec.compile)[0]
+        return source, spec, checked(spec.compile)[0]
+
+    def in_file(self) -> tuple[mujoco.MjSpec, str]:
+        source, spec, model = self._upright()
         felt = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
         felt |= (model.geom_contype | model.geom_conaffinity) != 0
         if not (felt & (model.geom_type == GEOM.mjGEOM_PLANE)).any():
@@ -155,10 +159,7 @@ class Declared(Robot):
         return (*found, *notes)
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
-        source = _read(find(self.name))
-        spec = _load(source.model)[0]
-        set_upright(spec, source.turn)
-        model = checked(spec.compile)[0]
+        source, spec, model = self._upright()
         data = mujoco.MjData(model)
         for joint, angle in zip(source.joints, np.radians(self.home or [0.0] * len(source.joints)), strict=True):
             data.qpos[model.joint(joint).qposadr[0]] = angle

@@ -16,9 +16,6 @@ from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous, 
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.user_code import place
 
-SCALARS = ("reward", "terminated", "truncated", "success")
-
-
 EPISODES, STEPS = 8, 64
 """Size of the trial that looks for numbers that are not finite: episodes side by side, and random actions in each."""
 
@@ -63,37 +60,42 @@ def _check_continuous(traced: Any) -> None:
     name, size, choices = type(traced).__name__, traced.observation_size, traced.action_bins
     if not choices or min(choices) < 2:
         raise InputError(f"task: {name}.action_bins must hold a number of at least 2 for each joint, got {choices}.")
-    key, action = _key(), jax.ShapeDtypeStruct((len(choices),), jnp.int32)
-    state = jax.eval_shape(lambda task, *args: task.reset(*args), traced, key)
-    if not isinstance(state, State):
-        raise InputError(f"task: {name}.reset must return a State, got a {type(state).__name__}.")
-    after = jax.eval_shape(lambda task, *args: task.step(*args), traced, state, action, key)
-    if not isinstance(after, State):
-        raise InputError(f"task: {name}.step must return a State, got a {type(after).__name__}.")
-    for method, found in (("reset", state), ("step", after)):
+
+    def checked(method: str, *arguments: Any) -> State:
+        state = _shapes(traced, method, *arguments)
+        if not isinstance(state, State):
+            raise InputError(f"task: {name}.{method} must return a State, got a {type(state).__name__}.")
         for field in ("obs", "final_obs"):
-            shape = getattr(found, field).shape
-            if shape != (size,):
+            if (shape := getattr(state, field).shape) != (size,):
                 raise InputError(f"task: {name}.{method} must return {field} of shape ({size},), got {shape}.")
-        for field in SCALARS:
-            shape = jnp.shape(getattr(found, field))
-            if shape:
-                raise InputError(f"task: {name}.{method} must return a scalar {field}, got shape {shape}.")
-    _check_same(f"{name}.step", state, after)
+        scalars = ("reward", "terminated", "truncated", "success")
+        _check_scalars(f"{name}.{method}", {field: getattr(state, field) for field in scalars})
+        return state
+
+    state = checked("reset")
+    _check_same(f"{name}.step", state, checked("step", state, jax.ShapeDtypeStruct((len(choices),), jnp.int32)))
 
 
 def _check_finite(traced: Any) -> None:
-    name, key = type(traced).__name__, _key()
-    state = jax.eval_shape(lambda task, *args: task.reset(*args), traced, key)
-    action = jax.ShapeDtypeStruct((), jnp.int32)
-    result: Any = jax.eval_shape(lambda task, *args: task.step(*args), traced, state, action, key)
+    name, state = type(traced).__name__, _shapes(traced, "reset")
+    result = _shapes(traced, "step", state, jax.ShapeDtypeStruct((), jnp.int32))
     if not (isinstance(result, tuple) and len(result) == 3):
         raise InputError(f"task: {name}.step must return (state, reward, terminated), got a {type(result).__name__}.")
     after, reward, terminated = result
-    for field, value in (("reward", reward), ("terminated", terminated)):
-        if jnp.shape(value):
-            raise InputError(f"task: {name}.step must return a scalar {field}, got shape {jnp.shape(value)}.")
+    _check_scalars(f"{name}.step", {"reward": reward, "terminated": terminated})
     _check_same(f"{name}.step", state, after)
+
+
+def _shapes(traced: Any, method: str, *arguments: Any) -> Any:
+    """Shapes of what a method returns for these arguments and a key."""
+    key = jax.eval_shape(lambda: rng.key(0))
+    return jax.eval_shape(lambda task, *args: getattr(task, method)(*args), traced, *arguments, key)
+
+
+def _check_scalars(what: str, values: dict[str, Any]) -> None:
+    for field, value in values.items():
+        if shape := jnp.shape(value):
+            raise InputError(f"task: {what} must return a scalar {field}, got shape {shape}.")
 
 
 def _check_numbers(task: Task) -> None:
@@ -116,10 +118,6 @@ def _trial(task: Any, keys: Any) -> dict[str, Any]:
         return auto_reset(env, after, reset_key), {name: jnp.isfinite(x).all() for name, x in seen.items()}
 
     return jax.vmap(lambda key: jax.lax.scan(step, env.reset(key), jax.random.split(key, STEPS))[1])(keys)
-
-
-def _key() -> Any:
-    return jax.eval_shape(lambda: rng.key(0))
 
 
 def _check_same(what: str, before: Any, after: Any) -> None:

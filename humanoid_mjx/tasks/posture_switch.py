@@ -116,8 +116,7 @@ class PostureSwitch(FiniteTask):
 
     def observe(self, state: Body) -> Float[Array, "3"]:
         """Return the encoders' places between start, 0, and goal, 1."""
-        first, last = self.grid[:, 0], self.grid[:, -1]
-        return jnp.clip((state.encoders - first) / (last - first), 0.0, 1.0).astype(jnp.float32)
+        return jnp.clip(self._way(state.encoders), 0.0, 1.0).astype(jnp.float32)
 
     def drive(self, data: Body, action: Int[Array, "3"]) -> tuple[Physics, Controller]:
         number = jnp.sum(action * 3 ** np.arange(len(MOVED)), dtype=jnp.int32)
@@ -155,11 +154,14 @@ class PostureSwitch(FiniteTask):
         noise = self.encoder_noise * (np.pi / 180) * jax.random.normal(key, (len(MOVED),))
         return world.qpos[jnp.array(MOVED)] + noise
 
+    def _way(self, encoders: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Places of the moved joints: start is 0, goal 1."""
+        first, last = self.grid[:, 0], self.grid[:, -1]
+        return (encoders - first) / (last - first)
+
     def _places(self, encoders: Float[Array, "3"]) -> Int[Array, "3"]:
         """The nearest place of each moved joint."""
-        first, last = self.grid[:, 0], self.grid[:, -1]
-        place = jnp.round((encoders - first) / (last - first) * (self.places - 1))
-        return jnp.clip(place, 0, self.places - 1).astype(jnp.int32)
+        return jnp.clip(jnp.round(self._way(encoders) * (self.places - 1)), 0, self.places - 1).astype(jnp.int32)
 
 
 @lru_cache
