@@ -95,12 +95,12 @@ def _show(
     """Serve the page of a policy's robots until Ctrl-C; `told`: parts of the command that they follow at first."""
     _start(physics, changes)
     from humanoid_mjx.evaluation.live import Live
-    from humanoid_mjx.evaluation.policy import find_policy, in_world, on_plane
+    from humanoid_mjx.evaluation.policy import find_policy, in_world
     from humanoid_mjx.report.live import serve
 
     with Bar(console) as bar:
         bar.phase("loading")
-        live = Live(on_plane(in_world(find_policy(policy, point), physics, changes)), episode, robots)
+        live = Live(in_world(find_policy(policy, point), physics, changes), episode, robots)
     live.told |= told
     with suppress(KeyboardInterrupt):
         serve(live, console.print, port=port or 0)

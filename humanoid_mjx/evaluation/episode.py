@@ -2,7 +2,7 @@
 """Look at what was learned: the motion of the robot in a greedy episode."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -172,7 +172,7 @@ def motion_of(trained: Trained, played: Played) -> Motion:
     for _ in range(math.ceil(HOLD_S / task.period) if motions else 0):
         world, motion = single(driven)(task, world, data, action)
         motions.append(motion)
-    return joined(motions)
+    return Motion(*(np.concatenate(columns) for columns in zip(*motions, strict=True)))
 
 
 def driven(task: Any, world: World, data: Any, action: Array) -> tuple[World, Motion]:
@@ -186,8 +186,3 @@ def stepped(plant: Physics, world: World, controller: Controller) -> tuple[World
     """A time step, and its row of the motion."""
     world, torque = plant.step(world, controller)
     return world, Motion(world.qpos, world.qvel, torque)
-
-
-def joined(motions: Sequence[Motion]) -> Motion:
-    """Motions one after another as one."""
-    return Motion(*(np.concatenate(columns) for columns in zip(*motions, strict=True)))

@@ -47,15 +47,10 @@ def gait_rows(gaits: Sequence[Gait], beyond: Sequence[str] = ()) -> list[list[st
     return rows
 
 
-def _column(heading: str) -> str:
-    """A column's heading in one line."""
-    name, _, unit = heading.partition("\n")
-    return f"{name} ({unit})" if unit else name
-
-
 def meanings() -> dict[str, str]:
-    """The meaning of each of `COLUMNS`, by its name."""
-    return {_column(heading): FIGURES[name].meaning for heading, name, *_ in COLUMNS}
+    """The meaning of each of `COLUMNS`, by its heading in one line."""
+    in_line = (heading.replace("\n", " (") + ")" * ("\n" in heading) for heading, *_ in COLUMNS)
+    return {heading: FIGURES[name].meaning for heading, (_, name, *_) in zip(in_line, COLUMNS, strict=True)}
 
 
 def _cell(summary: Summary, form: str, ends: bool) -> str:

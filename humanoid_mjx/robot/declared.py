@@ -306,19 +306,14 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
         values |= {"ground_geoms": geoms, "contacts": declared.contacts, "content": content}
         if declared.shares is not None:
             shares = _by_joint("shares", declared.shares, joints, np.ones(len(joints)))
-            values["shares"] = _by_kind(mirror, joints, shares)
+            first = np.minimum(images("joints", joints, mirror, joints), np.arange(len(joints))).tolist()
+            if uneven := [joint for k, joint in enumerate(joints) if shares[k] != shares[first[k]]]:
+                raise InputError(f"shares: {uneven[0]} and its mirror image must have the same")
+            values["shares"] = tuple(shares[sorted(set(first))].tolist())  # by kind of joint
     except InputError as error:
         message = str(error).rstrip(".")
         raise InputError(f"{path.name}: {message}.") from error
     return Source(file, joints, turn, key, values)
-
-
-def _by_kind(mirror: Any, joints: Sequence[str], shares: np.ndarray) -> tuple[float, ...]:
-    """Return the shares by kind of joint from the shares by joint."""
-    first = np.minimum(images("joints", joints, mirror, joints), np.arange(len(joints))).tolist()
-    if uneven := [joint for k, joint in enumerate(joints) if shares[k] != shares[first[k]]]:
-        raise InputError(f"shares: {uneven[0]} and its mirror image must have the same")
-    return tuple(shares[sorted(set(first))].tolist())
 
 
 def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[Difference]]:

@@ -175,17 +175,12 @@ def summarised(episodes: Mapping[str, Float[np.ndarray, "seeds episodes"]]) -> d
             one = values[seed, known[seed, :, column], column]
             ends = rate_interval(one > 0.5) if name in RATES and len(one) else (low[column], high[column])
             estimates.append(Estimate(float(means[seed, column]), *map(float, ends)))
-        found[name] = Summary(tuple(estimates), *_over_seeds(means[:, column], better), better)
+        sure = means[np.isfinite(means[:, column]), column]
+        median, worst = np.nan, np.nan
+        if len(sure):
+            median, worst = np.median(sure), {1: sure.min(), -1: sure.max(), 0: np.nan}[better]
+        found[name] = Summary(tuple(estimates), float(median), float(worst), better)
     return found
-
-
-def _over_seeds(means: Float[np.ndarray, " seeds"], better: int) -> tuple[float, float]:
-    """Median and worst of what is known."""
-    known = means[np.isfinite(means)]
-    if not len(known):
-        return np.nan, np.nan
-    worst = {1: known.min(), -1: known.max(), 0: np.nan}[better]
-    return float(np.median(known)), float(worst)
 
 
 def _plain(value: float) -> float | None:

@@ -34,9 +34,9 @@ class Live:
           InputError: the task moves no robot.
         """
         robot_of(trained)
-        self.touchable = True
+        self.touchable, trained = True, on_plane(trained)
         try:
-            trained = in_world(on_plane(trained), f"{__name__}:{LiveMujoco.__name__}")
+            trained = in_world(trained, f"{__name__}:{LiveMujoco.__name__}")
         except InputError:  # a task with a physics of its own is shown and steered, but nobody can touch it
             self.touchable = False
         task: Any = trained.learner.task.for_driving()

@@ -104,6 +104,4 @@ class LiveMujoco(Native):
         return *moved, read[:, : read.shape[1] * sensed]
 
 
-@lru_cache
-def _stage(base: mujoco.MjModel) -> Stage:
-    return Stage(base)
+_stage = lru_cache(Stage)

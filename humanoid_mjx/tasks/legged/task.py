@@ -7,7 +7,7 @@ the torso.
 """
 
 from functools import lru_cache
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,6 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Readings, Sensed
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.physics.sensors import Sensors
-from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State, begin
 from humanoid_mjx.tasks.legged.body import LeggedBody
@@ -244,6 +243,4 @@ class LeggedTask(LeggedBody):
         return jnp.asarray(phase) >= 0.5
 
 
-@lru_cache
-def _observed(names: tuple[Any, ...], robot: Robot) -> Observed:
-    return Observed(names, robot)
+_observed = lru_cache(Observed)
