@@ -88,7 +88,7 @@ def plot(
     Args:
       runs: runs or their folders.
       x: the column across; by default the episodes or steps trained.
-      y: the column upwards.
+      y: the column upwards; `learned` draws the table of the best run instead.
       by: the column that has a line for each value; `run` for each run. By default what is swept, if that is one.
       out: a .png; by default in the figures of the first run.
 

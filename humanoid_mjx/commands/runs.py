@@ -81,7 +81,7 @@ def _state(run: "Listed") -> str:
 def plot(
     run: Annotated[list[Path], Argument(metavar="RUN...", help="Run folders.")],
     x: Annotated[str | None, Option("--x", metavar="COLUMN", help="Across; by default episodes or steps.")] = None,
-    y: Annotated[str, Option("--y", metavar="COLUMN", help="Upwards.")] = "success",
+    y: Annotated[str, Option("--y", metavar="COLUMN", help="Upwards; learned: what the best table knows.")] = "success",
     by: Annotated[
         str | None,
         Option("--by", metavar="COLUMN", help="A line for each value; run: for each run. By default the swept key."),

@@ -23,6 +23,7 @@ from humanoid_mjx.evaluation.replay import why_stopped
 from humanoid_mjx.report.drawing import HEAT_MAPS
 from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, figures_of, mapped, parameters
 from humanoid_mjx.report.gaits import gait_rows, meanings, remarks
+from humanoid_mjx.report.learned import learned
 from humanoid_mjx.report.parameters import draw_map, limits
 from humanoid_mjx.report.rendering import strip
 from humanoid_mjx.report.scene import player
@@ -71,6 +72,12 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
         parts["What matters"] = [text(_capital(EFFECTS[learning.mode]) + "."), _grid(panels)]
     if maps := mapped(learning):
         parts["Two parameters at a time"] = _maps(learning, maps)
+    if config["learner"]["name"] == "tabular_q":
+        reporter.phase("drawing its table")
+        with suppress(InputError):  # which `_differences` tells
+            words, tables = learned(path)
+            panels = (panel for each in tables for panel in _row(learning, (None,), each))
+            parts["What was learned"] = [text(words), _grid(panels)]
     if motion and (shown := _motion(path, reporter)):
         parts["The robot"] = shown
     parts |= {
@@ -154,10 +161,13 @@ def _row(learning: Learning, axes: Sequence[str | None], each: Figure) -> list[s
 
 def _lines(panel: Any) -> dict[str, Any]:
     """Data of a panel's lines for the tip below the pointer: the panel's place on the picture, as shares from left
-    and top, the limits of its x axis, and the places of each labelled line."""
+    and top, the limits of its x axis, and the finite places of each labelled line."""
     box, scale = panel.get_position(), panel.get_xscale()
     lines = {
-        str(line.get_label()): [[float(f"{value:.4g}") for value in values] for values in line.get_data()]
+        str(line.get_label()): [
+            [float(f"{value:.4g}") for value in values]
+            for values in np.array(line.get_data())[:, np.isfinite(line.get_ydata())]
+        ]
         for line in panel.get_lines()
         if not str(line.get_label()).startswith("_")
     }

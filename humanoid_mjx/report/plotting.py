@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.ticker import NullLocator
 
 from humanoid_mjx.report.drawing import COUNTED, CURVES, HEAT_MAPS, draw_line, over_seeds, possible
+from humanoid_mjx.report.learned import draw_learned
 from humanoid_mjx.report.style import COLORS, count_axis, figure, is_geometric, label_lines, log_axis, shades
 from humanoid_mjx.runs.curves import swept
 from humanoid_mjx.runs.folder import read_config
@@ -23,6 +24,9 @@ RECORD = "record"
 """The column that says which record point of its run a row is."""
 
 TIME = "wall_s"
+
+LEARNED = "learned"
+"""In place of a column: what the best run has in its table."""
 
 NAMES = {
     **CURVES,
@@ -139,7 +143,7 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
     Args:
       paths: run folders.
       x: the column across; by default what counts the training. A measured one gives points and no lines.
-      y: the column drawn.
+      y: the column drawn, or `LEARNED`.
       by: the column that tells the lines apart; by default the swept parameter, where there is one only.
       out: the file; by default in the figures of the first run.
 
@@ -149,6 +153,10 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
     Raises:
       InputError: no run folder, a damaged table, a column that is not there or cannot be drawn, too many lines.
     """
+    if y == LEARNED:
+        if len(paths) > 1 or x or by:
+            raise InputError(f"--y {LEARNED}: this draws the table of one run; leave out the other runs, --x and --by.")
+        return draw_learned(paths[0], out)
     axes = list(dict.fromkeys(axis for path in paths for axis in swept(read_config(path))[1]))
     short_names = {axis.rpartition(".")[2]: axis for axis in reversed(axes)}
     x, y, by = x and short_names.get(x, x), short_names.get(y, y), by and short_names.get(by, by)

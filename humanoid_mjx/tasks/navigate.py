@@ -70,7 +70,7 @@ class Navigate(FiniteTask):
     def step(
         self, state: IntScalar, action: IntScalar, key: Key[Array, ""]
     ) -> tuple[IntScalar, FloatScalar, BoolScalar]:
-        state = jnp.asarray(_next_cells(self.map)).at[state * len(MOVES) + action].get(mode="promise_in_bounds")
+        state = jnp.asarray(next_cells(self.map)).at[state * len(MOVES) + action].get(mode="promise_in_bounds")
         reached = state == "".join(self.map).index("G")
         return state, self.step_reward + jnp.where(reached, self.bonus, 0.0), reached
 
@@ -79,7 +79,7 @@ class Navigate(FiniteTask):
         return self.success_rate
 
 
-def _next_cells(grid: tuple[str, ...]) -> Int[np.ndarray, " cells_times_actions"]:
+def next_cells(grid: tuple[str, ...]) -> Int[np.ndarray, " cells_times_actions"]:
     height, width = len(grid), len(grid[0])
     cells = np.empty((height, width, len(MOVES)), np.int32)
     for row, column in np.ndindex(height, width):
@@ -92,7 +92,7 @@ def _next_cells(grid: tuple[str, ...]) -> Int[np.ndarray, " cells_times_actions"
 
 def shortest_path(grid: tuple[str, ...]) -> int | None:
     """The number of moves from S to G by breadth-first search; None where there is no way."""
-    cells = _next_cells(grid).reshape(-1, len(MOVES))
+    cells = next_cells(grid).reshape(-1, len(MOVES))
     start, goal = "".join(grid).index("S"), "".join(grid).index("G")
     distance, queue = {start: 0}, deque([start])
     while queue:

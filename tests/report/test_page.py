@@ -84,6 +84,9 @@ def test_a_run_is_told_from_beginning_to_end(swept):
     # Two swept parameters: a curve of each measure by each, and a heat map of what differs between points.
     alts = [attrs["alt"] for tag, attrs in Parts(html).tags if tag == "img"]
     assert any(re.match(r"return per episode .* by learner.epsilon; at the end 0.1: \d", alt) for alt in alts)
+    # The goal's row of the table is never visited, and JSON has no NaN.
+    lines = [attrs["data-lines"] for _, attrs in Parts(html).tags if "data-lines" in attrs]
+    assert "visits: moves made in each state" in " ".join(alts) and "NaN" not in " ".join(lines)
     # The task moves no robot.
     assert "<h2>The robot" not in html and '<figure class="player"' not in html
 
