@@ -137,9 +137,6 @@ class ApproximateQ(StepLearner):
         envs = start_all(self.env, self.envs, reset_key)
         return Carry(weights, weights.value, optimizer, envs, key, jnp.int32(0))
 
-    def progress(self, carry: Carry) -> FloatScalar:
-        return self._steps(carry) / self.total_steps
-
     def train_step(self, carry: Carry) -> tuple[Carry, Outcome]:
         """One update: act, compute the targets of the experience, move the weights towards them."""
         key, act_key, learn_key = jax.random.split(carry.key, 3)
@@ -155,7 +152,7 @@ class ApproximateQ(StepLearner):
         part = 1.0 / (1.0 + self.weight_averaging * carry.update)
         average = jax.tree.map(lambda mean, new: (1.0 - part) * mean + part * new, carry.average, value)
         after = Carry(Weights(value, seen), average, optimizer, envs, key, carry.update + 1)
-        return after, Outcome(self._steps(carry), totals.pop("episodes"), totals, {"td_error": td_error})
+        return after, Outcome(self.steps_done(carry), totals.pop("episodes"), totals, {"td_error": td_error})
 
     def policy(self, carry: Carry) -> Weights:
         return carry.weights._replace(value=carry.average)
@@ -166,10 +163,6 @@ class ApproximateQ(StepLearner):
         """The greedy action for a raw observation."""
         q = self.q_values(policy.value, self.preprocess(policy, observation))
         return exploration.greedy(q, self.allowed, key)
-
-    def _steps(self, carry: Carry) -> FloatScalar:
-        """Control steps so far."""
-        return carry.update.astype(jnp.float32) * self.update_steps
 
     def _act(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, "Batch", dict[str, FloatScalar]]:
         """`_collect`, and the targets of the experience. Devices that share the environments act in one part each; all

@@ -6,6 +6,7 @@ every learner.
 
 from typing import Any, ClassVar, NamedTuple
 
+import jax.numpy as jnp
 from jaxtyping import Array, Key
 from pydantic import Field
 
@@ -112,3 +113,10 @@ class StepLearner(Learner):
     total_steps: int = traced(
         1_000_000, ge=1, le=2_000_000_000, exclude=True, description="control steps to train for, of all environments"
     )
+
+    def progress(self, carry: Any) -> FloatScalar:
+        return self.steps_done(carry) / self.total_steps
+
+    def steps_done(self, carry: Any) -> FloatScalar:
+        """Control steps so far, by the number of updates, `carry.update`."""
+        return carry.update.astype(jnp.float32) * self.update_steps

@@ -107,10 +107,7 @@ class BraxPPO(StepLearner):
         known = observe(carry.policy.moments, seen.observation.reshape(-1, self.env.observation_size))
         weights, optimizer = self._learn(carry, known, seen, learn_key)
         after = Carry(Policy(known, weights), optimizer, envs, key, carry.update + 1)
-        return after, Outcome(self._steps(carry), totals.pop("episodes"), totals, {})
-
-    def progress(self, carry: Carry) -> FloatScalar:
-        return self._steps(carry) / self.total_steps
+        return after, Outcome(self.steps_done(carry), totals.pop("episodes"), totals, {})
 
     def policy(self, carry: Carry) -> Policy:
         return carry.policy
@@ -122,10 +119,6 @@ class BraxPPO(StepLearner):
         networks = self._networks()
         values = networks.policy_network.apply(policy.moments, policy.networks.policy, observation)
         return networks.parametric_action_distribution.mode(values)
-
-    def _steps(self, carry: Carry) -> FloatScalar:
-        """Control steps so far."""
-        return carry.update.astype(jnp.float32) * self.update_steps
 
     def _collect(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Any, dict[str, FloatScalar]]:
         """Act as the policy's distribution says: where the environments are then, pieces of experience, (pieces,

@@ -56,32 +56,19 @@ def zero_moment_point(force: Float[np.ndarray, "times 3"], moment: Float[np.ndar
     return np.stack([-moment[:, 1], moment[:, 0]], axis=1) / up
 
 
-def support_margin(
+def inside_support(
     point: Float[np.ndarray, "*times 2"],
     corners: Float[np.ndarray, "*times corners 2"],
     touching: Bool[np.ndarray, "*times corners"],
-) -> Float[np.ndarray, "*times"]:
-    """Return the distance of a point from the edge of the support polygon, the convex hull of the corners that touch,
-    m.
-
-    Negative outside it: the distance to the polygon. With less than three corners it is an edge or a point, which has
-    no inside; with none the margin is minus infinity.
-    """
-    pair = touching[..., :, None] & touching[..., None, :]
-    along = corners[..., None, :, :] - corners[..., :, None, :]
-    arm = (point[..., None, :] - corners)[..., :, None, :]
-    length = np.linalg.norm(along, axis=-1)
-    proper = pair & (length > 0)
-    unit = along / np.where(proper, length, 1.0)[..., None]
-    # Seen from corner i towards corner j: how far along the line, and how far to its left.
-    place = np.clip((arm * unit).sum(axis=-1), 0.0, length)
-    to_point, to_corners = _left(unit, arm), _left(unit[..., None, :], along[..., :, None, :, :])
-    edge = proper & ((to_corners > -1e-7) | ~touching[..., None, None, :]).all(axis=-1)
-    has_area = (proper[..., None] & touching[..., None, None, :] & (np.abs(to_corners) > 1e-7)).any(axis=(-3, -2, -1))
-    inside = np.where(edge, to_point, np.inf).min(axis=(-2, -1))
-    away = np.linalg.norm(arm - place[..., None] * unit, axis=-1)
-    outside = np.where(pair, away, np.inf).min(axis=(-2, -1))
-    return np.where(has_area & (inside >= 0), inside, -outside)
+) -> Bool[np.ndarray, "*times"]:
+    """Return whether a point is inside the support polygon, the convex hull of the corners that touch: seen from it
+    they lie on all sides, no two neighbours half a turn or more apart. An edge and a corner have no inside."""
+    x, y = np.moveaxis(corners - point[..., None, :], -1, 0)
+    side = np.sort(np.where(touching, np.arctan2(y, x), np.nan), axis=-1)  # NaN at the end
+    following = np.concatenate([side[..., 1:], np.full_like(side[..., :1], np.nan)], axis=-1)
+    following = np.where(np.isnan(following), side[..., :1] + 2 * np.pi, following)
+    gap = np.nan_to_num(following - side, nan=-np.inf).max(axis=-1)
+    return (gap > 0) & (gap < np.pi - 1e-9)
 
 
 def foot_corners(physics: MujocoPhysics, qpos: Float[AnyArray, "times nq"]) -> Float[np.ndarray, "times corners 3"]:
@@ -93,7 +80,3 @@ def foot_corners(physics: MujocoPhysics, qpos: Float[AnyArray, "times nq"]) -> F
         mujoco.mj_kinematics(model, data)
         row[:] = lowest(model, data.geom_xpos[balls])
     return found
-
-
-def _left(unit: np.ndarray, arm: np.ndarray) -> np.ndarray:
-    return unit[..., 0] * arm[..., 1] - unit[..., 1] * arm[..., 0]

@@ -15,7 +15,7 @@ from humanoid_mjx.evaluation.episode import Motion, stepped
 from humanoid_mjx.mechanics import gaits, pattern_generator
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages, World
-from humanoid_mjx.reproduction.balance import foot_corners, ground_wrench, support_margin, zero_moment_point
+from humanoid_mjx.reproduction.balance import foot_corners, ground_wrench, inside_support, zero_moment_point
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import AnyArray, IntScalar
 
@@ -189,14 +189,11 @@ def laws_of(config: Mapping[str, Mapping[str, float]]) -> dict[str, control.Law]
     }
 
 
-def margins(path: Path) -> Float[np.ndarray, " steps"]:
-    """The margin of the zero-moment point in the support polygon at each time step but the last, m.
-
-    It is infinite in flight. An edge has no inside: 0 at most.
-    """
+def balanced(path: Path) -> Bool[np.ndarray, " steps"]:
+    """True where the zero-moment point is inside the support polygon, at each time step but the last."""
     qacc = np.diff(path.qvel, axis=0) / physics().step_s
     wrench = ground_wrench(physics().model, path.qpos[:-1], path.qvel[:-1], qacc)
-    return support_margin(zero_moment_point(*wrench), path.corners[:-1, :, :2], path.touching[:-1])
+    return inside_support(zero_moment_point(*wrench), path.corners[:-1, :, :2], path.touching[:-1])
 
 
 def _plan(trial: Trial, seconds: float) -> control.Reference:

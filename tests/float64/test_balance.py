@@ -56,37 +56,28 @@ def test_there_is_no_point_in_flight():
     assert np.isnan(balance.zero_moment_point(np.array([[1.0, 0.0, 0.0]]), np.ones((1, 3)))).all()
 
 
-def slow_margin(point, corners):
-    """By every edge of scipy's hull."""
-    hull = ConvexHull(corners)
-    inside = -(hull.equations[:, :2] @ point + hull.equations[:, 2]).max()
-    if inside >= 0:
-        return inside
-    ends = corners[hull.simplices]
-    along = ends[:, 1] - ends[:, 0]
-    place = np.clip(((point - ends[:, 0]) * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
-    return -np.linalg.norm(point - ends[:, 0] - place[:, None] * along, axis=1).min()
-
-
-def test_the_margin_is_that_of_the_convex_hull():
+def test_inside_the_support_is_inside_the_convex_hull():
     rng = np.random.default_rng(0)
-    signs = []
-    for _ in range(200):
-        corners, touching = rng.uniform(-1, 1, (8, 2)), rng.random(8) < 0.7
-        touching[:3] = True
-        point = rng.uniform(-1.2, 1.2, 2)
-        expected = slow_margin(point, corners[touching])
-        assert float(balance.support_margin(point, corners, touching)) == pytest.approx(expected, abs=1e-9)
-        signs.append(expected > 0)
-    assert 0.2 < np.mean(signs) < 0.8
+    corners, touching = rng.uniform(-1, 1, (200, 8, 2)), rng.random((200, 8)) < 0.7
+    touching[:, :3] = True
+    points = rng.uniform(-1.2, 1.2, (200, 2))
+    hulls = [ConvexHull(some[there]).equations for some, there in zip(corners, touching, strict=True)]
+    expected = [(hull[:, :2] @ point + hull[:, 2] < 0).all() for hull, point in zip(hulls, points, strict=True)]
+    assert balance.inside_support(points, corners, touching).tolist() == expected
+    assert 0.2 < np.mean(expected) < 0.8
 
 
 @pytest.mark.parametrize(
-    ("touching", "margin"),
-    [("0000", -np.inf), ("1000", -np.sqrt(0.5)), ("1100", -0.5), ("1001", 0.0), ("1110", 0.0), ("1111", 0.5)],
+    ("touching", "inside"),
+    [("0000", False), ("1000", False), ("1100", False), ("1001", False), ("1110", False), ("1111", True)],
 )
-def test_margins_of_a_square(touching, margin):
-    """Its middle: no corner, one, an edge, a diagonal (which has no inside), half of it, all."""
+def test_the_middle_of_a_square(touching, inside):
+    """No corner, one, an edge, a diagonal (which has no inside), half of it (whose edge is no inside), all."""
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-    found = balance.support_margin(np.array([0.5, 0.5]), corners, np.array([c == "1" for c in touching]))
-    assert float(found) == pytest.approx(margin, abs=1e-12)
+    touches = np.array([[c == "1" for c in touching]])
+    assert balance.inside_support(np.array([[0.5, 0.5]]), corners[None], touches).tolist() == [inside]
+
+
+def test_a_flight_has_no_inside():
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    assert not balance.inside_support(np.array([[np.nan, np.nan]]), corners[None], np.ones((1, 4), bool)).any()

@@ -143,12 +143,12 @@ def test_gaits_that_walk_and_turn_are_reproduced():
         trial: turned if trial.motion == "sudden_turn" and trial.same_yaw else straight
         for trial in ground_gaits.printed_trials()
     }
-    level = {id(path): ground.margins(path) for path in (straight, turned)}
-    margins = {trial: level[id(path)] for trial, path in played.items()}
-    found = [f for f in ground_gaits.on_tables(played, margins) if f.printed is not None]
+    level = {id(path): ground.balanced(path) for path in (straight, turned)}
+    inside = {trial: level[id(path)] for trial, path in played.items()}
+    found = [f for f in ground_gaits.on_tables(played, inside) if f.printed is not None]
     assert len(found) == 5 and {f.verdict for f in found} == {"reproduced"}
     fallen = {trial: path._replace(fell=True) for trial, path in played.items()}
-    again = [f for f in ground_gaits.on_tables(fallen, margins) if f.printed is not None]
+    again = [f for f in ground_gaits.on_tables(fallen, inside) if f.printed is not None]
     assert [f.verdict for f in again] == ["differs", "reproduced", "differs", "reproduced", "differs"]
 
 
