@@ -332,6 +332,18 @@ def methods_grid() -> str:
     return table("method | value of the start", [("exact", rounded(exact[1], 2)), *rows])
 
 
+def methods_car() -> str:
+    """Return the steps of an episode on the mountain car, by step size and part of the training."""
+    found = {name: by for name, by in record("methods")["drive"]["found"].items() if isinstance(by, dict)}
+    parts = [part for part in next(iter(next(iter(found.values())).values())) if part != "curve"]
+    rows = [
+        (alpha, learner, *("{} ({} to {})".format(*(rounded(x, 0) for x in figures[part])) for part in parts))
+        for alpha, by in found.items()
+        for learner, figures in by.items()
+    ]
+    return table(f"alpha | learner | {' | '.join(f'episodes {part}' for part in parts)}", rows)
+
+
 def methods_proof() -> str:
     """Return how the methods of tables agree with an independent implementation."""
     rows = []
@@ -476,6 +488,7 @@ TABLES = {
         methods_tasks,
         methods_cliff,
         methods_grid,
+        methods_car,
         methods_proof,
         other_robots,
         other_robots_taken,

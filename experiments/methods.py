@@ -6,7 +6,7 @@ python experiments/methods.py --draw     # the figure alone, from the record
 `prove` compares tables of 4,096 seeds with `textbook.py`, from the same random numbers and from others. `walk` goes
 along the cliff of R. Sutton and A. Barto, "Reinforcement Learning" (2018), Example 6.6, `overestimate` through the grid
 of H. van Hasselt, "Double Q-learning" (2010). `compare` learns the thesis's tasks: half of the seeds choose the
-settings of each method, the other half compare the methods.
+settings of each method, the other half compare the methods. `drive` drives the mountain car by tiles.
 """
 
 import argparse
@@ -31,6 +31,7 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.report.style import COLORS, figure, label_lines
 from humanoid_mjx.runs import statistics
 from humanoid_mjx.spec import traced
+from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 from humanoid_mjx.tasks.finite import FiniteTask
 
 ROOT = Path(__file__).parent.parent
@@ -200,6 +201,68 @@ def overestimate() -> dict[str, Any]:
     return found
 
 
+class MountainCar(ContinuousTask):
+    """A car too weak for the hill swings up: the mountain car of Example 10.1; every step costs 1."""
+
+    observation_size: ClassVar[int] = 2
+    action_bins: ClassVar[tuple[int, ...]] = (3,)
+    observation_bounds: ClassVar[Any] = (np.array([-1.2, -0.07]), np.array([0.5, 0.07]))
+
+    def reset(self, key):
+        obs = jnp.stack([jax.random.uniform(key, minval=-0.6, maxval=-0.4), 0.0])
+        return begin(obs, obs, ())
+
+    def step(self, state, action, key):
+        place, speed = state.data
+        speed = jnp.clip(speed + 0.001 * (action[0] - 1.0) - 0.0025 * jnp.cos(3.0 * place), -0.07, 0.07)
+        place = jnp.clip(place + speed, -1.2, 0.5)
+        obs, there = jnp.stack([place, jnp.where(place == -1.2, 0.0, speed)]), place >= 0.5
+        return State(obs, obs, jnp.float32(-1.0), there, jnp.bool_(False), there, obs, {})
+
+
+def car_lengths(step_size: float, episodes: int, seeds: int, steps: int) -> np.ndarray:
+    """Steps of each episode, (seeds, episodes), of `linear_q` with the settings of `textbook.mountain_car`.
+
+    `steps` is the length of each training.
+    """
+    values = {"envs": 1, "rollout": 1, "trace_decay": 0.0, "epsilon": 0.0, "epsilon_min": 0.0, "discount": 0.999999}
+    learner = make_learner("linear_q", MountainCar(), learning_rate=step_size, total_steps=steps, **values)
+
+    def train(key: Any) -> Any:
+        def step(carry: Any, _: None) -> Any:
+            carry, outcome = learner.train_step(carry)
+            return carry, (outcome.totals["steps"].astype(jnp.int16))
+
+        return jax.lax.scan(step, learner.init(key), length=steps)[1]
+
+    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(rng.key(0), jnp.arange(seeds))
+    ended = np.asarray(jax.jit(jax.vmap(train))(keys))
+    return np.stack([row[row > 0][:episodes] for row in ended])
+
+
+CAR_EPISODES, CAR_SEEDS, CAR_STEPS = 500, 100, 150_000
+CAR_PARTS = {"1": slice(0, 1), "2 to 10": slice(1, 10), "11 to 100": slice(10, 100), "401 to 500": slice(400, 500)}
+
+
+def drive() -> dict[str, Any]:
+    """Figure 10.2: steps of an episode on the mountain car, by `linear_q` and by the textbook's two rules."""
+    found: dict[str, Any] = {"episodes": CAR_EPISODES, "seeds": CAR_SEEDS}
+    for step_size in (0.1, 0.2, 0.5):
+        made = {
+            "linear_q": car_lengths(step_size, CAR_EPISODES, CAR_SEEDS, CAR_STEPS),
+            "textbook, Q-learning": textbook.mountain_car(step_size, CAR_EPISODES, CAR_SEEDS, sarsa=False),
+            "textbook, Sarsa": textbook.mountain_car(step_size, CAR_EPISODES, CAR_SEEDS),
+        }
+        found[f"{step_size:g} / 8"] = {
+            name: {part: statistics.estimate(steps[:, of].mean(axis=1)) for part, of in CAR_PARTS.items()}
+            | {"curve": np.round(steps.mean(axis=0).reshape(-1, 10).mean(axis=1), 1).tolist()}
+            for name, steps in made.items()
+        }
+        for name, parts in found[f"{step_size:g} / 8"].items():
+            print(f"{step_size:g} / 8", name, *(f"{part}: {parts[part].value:.1f}" for part in CAR_PARTS), flush=True)
+    return found
+
+
 TASKS: dict[str, Any] = {
     "joint_reach": ({"name": "joint_reach", "joint": 1, "action": 5, "states": 24, "max_episode_steps": 100}, 0.9, 100),
     "navigate": ({"name": "navigate", "max_episode_steps": 300}, 0.9, 200),
@@ -288,12 +351,14 @@ def draw(record: dict[str, Any]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draw", action="store_true", help="draw the figure of the record")
-    parser.add_argument("--only", choices=("prove", "walk", "overestimate", "compare"), help="measure one part anew")
+    parser.add_argument(
+        "--only", choices=("prove", "walk", "overestimate", "compare", "drive"), help="measure one part anew"
+    )
     given = parser.parse_args()
     record = json.loads(RECORD.read_text()) if (given.draw or given.only) and RECORD.is_file() else {}
     if not given.draw:
         compute.start()
-        parts = {"prove": prove, "walk": walk, "overestimate": overestimate, "compare": compare}
+        parts = {"prove": prove, "walk": walk, "overestimate": overestimate, "compare": compare, "drive": drive}
         for name in [given.only] if given.only else parts:
             record[name] = {"commit": compute.commit(), "found": parts[name]()}
         record |= {**compute.made_by(), "command": "python experiments/methods.py"}

@@ -152,3 +152,47 @@ class Textbook:
                 self.amount *= F(p.epsilon_decay) if p.decay == "episode" else F(1)
             if self.decision >= decisions:
                 return
+
+
+def mountain_car(step_size: float, episodes: int, agents: int, seed: int = 0, sarsa: bool = True) -> np.ndarray:
+    """Steps of each episode, (agents, episodes), of episodic semi-gradient Sarsa without exploration (section 10.1) on
+    the mountain car (Example 10.1): 8 tilings of 8 x 8 tiles, shifted by (1, 3) eighths of a tile; `step_size` is the
+    share of its error that a value moves by, 8 alpha. The agents learn side by side. Without exploration the targets of
+    Sarsa and of Q-learning are the same; Q-learning (`sarsa` False) chooses the next action after the update."""
+    draw, every, tilings = np.random.default_rng(seed), np.arange(agents)[:, None], np.arange(8)
+    weights, lengths = np.zeros((agents, 8, 9, 9, 3)), np.zeros((agents, episodes), int)
+
+    def tiles(place: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, ...]:
+        cells = 8 * (place + 1.2) / 1.7, 8 * (speed + 0.07) / 0.14
+        at = (cell[:, None] + tilings * step % 8 / 8 for cell, step in zip(cells, (1, 3), strict=True))
+        return every, tilings, *(np.minimum(x, 8).astype(int) for x in at)
+
+    def greedy(q: np.ndarray) -> np.ndarray:
+        return np.where(q == q.max(axis=1, keepdims=True), draw.random(q.shape), -1).argmax(axis=1)
+
+    def start() -> np.ndarray:
+        return draw.uniform(-0.6, -0.4, agents)
+
+    place, speed, episode, length = start(), np.zeros(agents), np.zeros(agents, int), np.zeros(agents, int)
+    features = tiles(place, speed)
+    action = greedy(weights[features].sum(axis=1))
+    while (learns := episode < episodes).any():
+        speed = np.clip(speed + 0.001 * (action - 1) - 0.0025 * np.cos(3 * place), -0.07, 0.07)
+        place = np.clip(place + speed, -1.2, 0.5)
+        speed, over = np.where(place == -1.2, 0.0, speed), place >= 0.5
+        length += 1
+        following = tiles(place, speed)
+        q = weights[following].sum(axis=1)
+        chosen = greedy(q)
+        target = -1.0 + np.where(over, 0.0, q[every[:, 0], chosen])
+        error = target - weights[(*features, action[:, None])].sum(axis=1)
+        weights[(*features, action[:, None])] += (learns * step_size / 8 * error)[:, None]
+        if not sarsa:
+            chosen = greedy(weights[following].sum(axis=1))
+        ends = over & learns
+        lengths[ends, episode[ends]] = length[ends]
+        episode, length = episode + ends, np.where(over, 0, length)
+        place, speed = np.where(over, start(), place), np.where(over, 0.0, speed)
+        features = tiles(place, speed)
+        action = np.where(over, greedy(weights[features].sum(axis=1)), chosen)
+    return lengths

@@ -7,7 +7,7 @@ weights towards them. Where a task has several joints Q is the mean of a value f
 """
 
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -56,11 +56,18 @@ class Experience(NamedTuple):
     terminated: Bool[Array, "steps envs"]
     truncated: Bool[Array, "steps envs"]
     final_obs: Float[Array, "steps envs observation_size"]
+    amount: Float[Array, "steps envs"]
+    """Epsilon, or the temperature."""
 
 
 RETIRED = {"action_repeat": 1, "basis": "tiles", "coarse_to_fine": False}
 """Keys of earlier versions, with the only value that they may still have: stored configs hold them."""
 
+
+READ_WITH = {
+    "exploration": {"epsilon": "epsilon_greedy", "epsilon_spread": "epsilon_greedy", "temperature": "boltzmann"}
+}
+"""Keys that are read with one word of another key alone."""
 
 LEAST_SHARE = 64
 """Least number of environments of a device that shares a run: the loops of `physics: tree` take so many at once."""
@@ -71,6 +78,13 @@ class ApproximateQ(StepLearner):
 
     program: ClassVar[Program] = "approximate"
     task: FiniteTask | ContinuousTask = Field(exclude=True, repr=False)
+    method: Literal["q_learning", "expected_sarsa"] = Field(
+        "q_learning", description="value of the next state: the largest, or the mean over the actions as it explores"
+    )
+    exploration: Literal["epsilon_greedy", "boltzmann"] = Field(
+        "epsilon_greedy", description="rule by which training chooses actions"
+    )
+    temperature: float = traced(1.0, gt=0, le=1e6, description="initial temperature of boltzmann, in units of value")
     epsilon: float = traced(1.0, ge=0, le=1, description="initial probability that a joint takes a random choice")
     epsilon_decay: float = traced(0.99, ge=0, le=1, description="factor on epsilon per episode of an environment")
     epsilon_min: float = traced(0.02, ge=0, le=1, description="lower bound of epsilon")
@@ -93,6 +107,11 @@ class ApproximateQ(StepLearner):
     @classmethod
     def _without_retired_keys(cls, data: Any) -> Any:
         return {key: x for key, x in data.items() if RETIRED.get(key, ...) != x} if isinstance(data, dict) else data
+
+    @model_validator(mode="after")
+    def _keys_must_be_read(self) -> "ApproximateQ":
+        exploration.check_read(self, READ_WITH)
+        return self
 
     def can_share(self, devices: int) -> bool:
         fits = self.envs % devices == 0 and self.envs // devices >= LEAST_SHARE
@@ -187,12 +206,15 @@ class ApproximateQ(StepLearner):
             greedy_key, explore_key, step_key, reset_key = jax.random.split(key, 4)
             obs = envs.state.obs
             q = self.q_values(carry.weights.value, self.preprocess(carry.weights, obs))
-            best = exploration.greedy(q, self.allowed, greedy_key)
-            epsilon = exploration.epsilons(self, envs.episode)
-            action = exploration.explore(best, self.allowed, epsilon, explore_key)
+            amount = exploration.amounts(self, envs.episode)
+            if self.exploration == "boltzmann":
+                action = exploration.drawn_choices(exploration.chances(self, q, amount), explore_key)
+            else:
+                best = exploration.greedy(q, self.allowed, greedy_key)
+                action = exploration.explore(best, self.allowed, amount, explore_key)
             envs, state, sums = step_all(self.env, envs, action, step_key, reset_key)
             executed = action if state.executed is None else state.executed
-            seen = Experience(obs, executed, state.reward, state.terminated, state.truncated, state.final_obs)
+            seen = Experience(obs, executed, state.reward, state.terminated, state.truncated, state.final_obs, amount)
             return envs, (seen, sums)
 
         envs, (experience, sums) = jax.lax.scan(step, carry.envs, jax.random.split(key, self.rollout))
@@ -200,9 +222,11 @@ class ApproximateQ(StepLearner):
 
     def _td_targets(self, weights: Weights, experience: Experience) -> Float[Array, "steps envs"]:
         q = self.q_values(weights.value, self.preprocess(weights, experience.final_obs))
-        next_value = jnp.where(self.allowed, q, -jnp.inf).max(axis=-1).mean(axis=-1)
+        by_joint = jnp.where(self.allowed, q, -jnp.inf).max(axis=-1)
+        if self.method == "expected_sarsa":
+            by_joint = (exploration.chances(self, q, experience.amount) * jnp.where(self.allowed, q, 0.0)).sum(axis=-1)
         ends = experience.terminated, experience.truncated
-        return lambda_targets(experience.reward, *ends, next_value, self.discount, self.trace_decay)
+        return lambda_targets(experience.reward, *ends, by_joint.mean(axis=-1), self.discount, self.trace_decay)
 
 
 class Batch(NamedTuple):

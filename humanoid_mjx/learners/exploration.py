@@ -1,5 +1,7 @@
-"""Exploring: epsilon with the thesis's decay, a spread of epsilons over environments, and choices in a table's row."""
+"""Exploring: epsilon and temperature with the thesis's decay and a spread over environments, choices of joints and in a
+table's row."""
 
+from collections.abc import Mapping
 from functools import reduce
 from typing import Any
 
@@ -16,15 +18,48 @@ QRow = tuple[FloatScalar, ...]
 LEAST, MOST = (float(getattr(np.finfo(np.float32), name)) for name in ("tiny", "max"))
 
 
-def epsilons(schedule: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
-    """Epsilon of each environment, `max(epsilon_min, epsilon * epsilon_decay**k) ** power`, k being its own episode.
+def check_read(learner: Any, read_with: Mapping[str, Mapping[str, str]]) -> None:
+    """Check that keys which are read with one word of another key alone, `read_with[key]`, have that word or their
+    default.
+
+    Raises:
+      ValueError: a key would not be read.
+    """
+    for word, keys in read_with.items():
+        mine, fields = getattr(learner, word), type(learner).model_fields
+        if odd := [key for key in keys if getattr(learner, key) != fields[key].default and mine != keys[key]]:
+            needed = f"set learner.{word}={keys[odd[0]]}"
+            raise ValueError(f"{odd[0]} is not read with {word} {mine}; leave it out, or {needed}")
+
+
+def amounts(schedule: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
+    """Epsilon of each environment, `max(epsilon_min, epsilon * epsilon_decay**k) ** power`, k being its own episode, or
+    so its temperature.
 
     The power rises from 1 to 1 + epsilon_spread over the environments, so that some explore while others follow the
-    greedy policy closely (D. Horgan et al., "Distributed Prioritized Experience Replay", 2018,
-    section 4).
+    greedy policy closely (D. Horgan et al., "Distributed Prioritized Experience Replay", 2018, section 4).
     """
-    epsilon = jnp.maximum(schedule.epsilon_min, schedule.epsilon * schedule.epsilon_decay**episode)
-    return epsilon ** (1.0 + schedule.epsilon_spread * jnp.linspace(0.0, 1.0, len(episode)))
+    start = schedule.temperature if schedule.exploration == "boltzmann" else schedule.epsilon
+    amount = jnp.maximum(schedule.epsilon_min, start * schedule.epsilon_decay**episode)
+    return amount ** (1.0 + schedule.epsilon_spread * jnp.linspace(0.0, 1.0, len(episode)))
+
+
+def chances(
+    learner: Any, q: Float[Array, "*batch joints bins"], amount: Float[Array, "*batch"]
+) -> Float[Array, "*batch joints bins"]:
+    """The probability of each choice of each joint: epsilon-greedy, or that of an action in proportion to
+    exp(Q / temperature). Q is the mean of the joints' values, so that each joint chooses by itself."""
+    q, amount = jnp.where(learner.allowed, q, -jnp.inf), amount[..., None, None]
+    if learner.exploration == "boltzmann":
+        return jax.nn.softmax(q / (q.shape[-2] * jnp.maximum(amount, LEAST)))
+    best = q == q.max(axis=-1, keepdims=True)
+    greedy, random = (x / x.sum(axis=-1, keepdims=True) for x in (best, learner.allowed))
+    return (1.0 - amount) * greedy + amount * random
+
+
+def drawn_choices(chances: Float[Array, "*batch joints bins"], key: Key[Array, ""]) -> Int[Array, "*batch joints"]:
+    """A choice of each joint by its probabilities."""
+    return _largest(jnp.log(chances) + jax.random.gumbel(key, chances.shape))
 
 
 def greedy(

@@ -26,7 +26,7 @@ from humanoid_mjx.compute import Program
 from humanoid_mjx.compute.indexing import add_at
 from humanoid_mjx.compute.rng import uniform
 from humanoid_mjx.learners.base import Learner, Outcome
-from humanoid_mjx.learners.exploration import QRow, drawn, entry, softmax, upper_bounds
+from humanoid_mjx.learners.exploration import QRow, check_read, drawn, entry, softmax, upper_bounds
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask, Rules
@@ -36,6 +36,9 @@ QTable = Float[Array, "num_states num_actions"]
 
 MOST_STEPS = 16
 """Moves that an agent of `n_step` holds. The number of `steps` is data and may be swept up to here."""
+
+LAST = np.uint32(2**32 - 1)
+"""Number of the random key that draws the first table; the numbers of steps count up from 0."""
 
 READ_WITH = {
     "method": {"steps": "n_step", "trace_decay": "q_lambda"},
@@ -137,19 +140,17 @@ class TabularQ(Learner):
         "constant", description="constant: the learning rate; visits: 1 / number of updates of the value"
     )
     initial_value: float = traced(0.0, description="added to the task's table before learning")
+    initial_spread: float = traced(
+        0.0, ge=0, le=1e6, description="bound of random numbers of both signs that are added to it as well"
+    )
     discount: float = traced(0.9, ge=0, lt=1, description="discount factor per step")
     agents: int = Field(1, ge=1, le=1_000_000, description="episodes at once that feed one table")
 
     @model_validator(mode="after")
     def _keys_must_be_read(self) -> "TabularQ":
-        fields = type(self).model_fields
-        for word, keys in READ_WITH.items():
-            mine = getattr(self, word)
-            if odd := [key for key in keys if getattr(self, key) != fields[key].default and mine != keys[key]]:
-                needed = f"set learner.{word}={keys[odd[0]]}"
-                raise ValueError(f"{odd[0]} is not read with {word} {mine}; leave it out, or {needed}")
-        if self.initial_value and self.start_from:
-            raise ValueError("initial_value is not read with start_from, which brings tables; leave one of them out")
+        check_read(self, READ_WITH)
+        if self.start_from and (own := [key for key in ("initial_value", "initial_spread") if getattr(self, key)]):
+            raise ValueError(f"{own[0]} is not read with start_from, which brings tables; leave one of them out")
         if self.task.learning_rules != Rules() and (self.method, self.exploration) != ("q_learning", "epsilon_greedy"):
             raise ValueError(
                 "a task with rules of its own takes method q_learning and exploration epsilon_greedy alone"
@@ -177,6 +178,9 @@ class TabularQ(Learner):
     def init(self, key: Key[Array, ""], policy: QTable | None = None) -> Carry:
         values = jnp.asarray(self.task.initial_q() + self.initial_value if policy is None else policy, jnp.float32)
         q_table = jnp.tile(values, self.columns // self.task.num_actions)
+        if policy is None:
+            draws = jax.random.uniform(jax.random.fold_in(key, LAST), q_table.shape, minval=-1.0)
+            q_table = q_table + self.initial_spread * draws
         q_table = jnp.concatenate([q_table, jnp.zeros_like(q_table)], axis=1) if self.counts else q_table
         step, amounts = jnp.int32(0), {"boltzmann": self.temperature, "ucb": self.confidence}
 

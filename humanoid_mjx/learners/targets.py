@@ -23,7 +23,7 @@ def lambda_targets(
     With trace_decay 0 these are one-step targets, with 1 the rewards to the end of the episode or piece.
 
     Args:
-      next_value: max_a Q of the state that each step led to, before any reset.
+      next_value: max_a Q of the state that each step led to, before any reset, or another value of it.
     """
 
     def back(

@@ -4,6 +4,7 @@ import re
 from functools import partial
 from itertools import chain
 from operator import itemgetter
+from types import SimpleNamespace
 from typing import ClassVar
 
 import jax
@@ -304,8 +305,46 @@ def test_the_greedy_choice_is_the_best_there_is_and_any_of_equal_ones():
 
 def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
     learner = build("tiles", probe("choice")[0], epsilon=0.5, epsilon_decay=0.9, epsilon_min=0.2, epsilon_spread=1.0)
-    found = exploration.epsilons(learner, jnp.array([0, 1, 100]))
+    found = exploration.amounts(learner, jnp.array([0, 1, 100]))
     np.testing.assert_allclose(found, [0.5, (0.45) ** 1.5, 0.2**2], rtol=1e-5)
+
+
+@pytest.mark.parametrize("rule", ["epsilon_greedy", "boltzmann"])
+def test_chances_are_those_of_the_actions(rule):
+    """By enumeration of all actions of two joints; `drawn_choices` and `explore` take each so often."""
+    allowed = np.array([[True, True, True], [True, True, False]])
+    learner = SimpleNamespace(allowed=allowed, exploration=rule)
+    q, amount = np.float32([[0.5, 1.0, -1.0], [2.0, 1.0, 9.0]]), 0.3
+    found = exploration.chances(learner, jnp.asarray(q)[None], jnp.float32([amount]))[0]
+    actions = [(a, b) for a in range(3) for b in range(2)]
+    if rule == "boltzmann":
+        odds = {(a, b): np.exp((q[0, a] + q[1, b]) / 2 / amount) for a, b in actions}
+        odds = {action: each / sum(odds.values()) for action, each in odds.items()}
+        drawn = exploration.drawn_choices(jnp.broadcast_to(found, (4000, 2, 3)), rng.key(0))
+    else:
+        single = np.array([[0.1, 0.8, 0.1], [0.85, 0.15, 0.0]])
+        odds = {(a, b): single[0, a] * single[1, b] for a, b in actions}
+        best = jnp.tile(jnp.int32([[1, 0]]), (4000, 1))
+        drawn = exploration.explore(best, allowed, jnp.full(4000, amount), rng.key(0))
+    np.testing.assert_allclose(found.sum(axis=-1), 1.0, rtol=1e-6)
+    for (a, b), chance in odds.items():
+        assert found[0, a] * found[1, b] == pytest.approx(chance, rel=1e-5)
+        # Three in ten thousand such samples fall outside 3.6 sigma = 0.03.
+        assert np.mean((drawn[:, 0] == a) & (drawn[:, 1] == b)) == pytest.approx(chance, abs=0.03)
+
+
+@pytest.mark.parametrize("rule", ["epsilon_greedy", "boltzmann"])
+def test_expected_sarsa_finds_the_values_of_its_own_exploration(rule):
+    """Two states in a row, the second with a choice of -1 and 1: the first is worth the mean, discounted."""
+    task = make(1, (-1.0, 1.0), 0.0, (1, END), ((0, 0), (-1, 1)))
+    own = {"epsilon": 0.5} if rule == "epsilon_greedy" else {"temperature": 1.0}
+    values = {"envs": 32, "rollout": 4, "discount": DISCOUNT, "epsilon_decay": 1.0, "trace_decay": 0.0}
+    values |= {"method": "expected_sarsa", "exploration": rule, "resolution": 3, "tilings": 2, "order": 1} | own
+    learner = make_learner("linear_q", task, total_steps=32 * 4 * 400, record=4, **values)
+    policy = learner.policy(train(learner)[0].carry)
+    q = np.asarray(learner.q_values(policy.value, jnp.float32([[-1.0], [1.0]])))[:, 0]
+    better = 0.75 if rule == "epsilon_greedy" else 1 / (1 + np.exp(-2.0))
+    np.testing.assert_allclose(q, [[DISCOUNT * (2 * better - 1)] * 2, [-1.0, 1.0]], atol=0.02)
 
 
 def test_sums_are_over_the_episodes_that_ended():
@@ -374,6 +413,17 @@ def test_stored_configs_may_hold_retired_keys_at_their_only_value():
         ("linear_q", {"focus": 0.5}, "learner.focus must be at least 1"),
         ("linear_q", {"basis": "fourier"}, "learner.basis: unknown key"),
         ("linear_q", {"resolution": 2000, "order": 2}, "make it coarser"),
+        (
+            "deep_q",
+            {"method": "double_q"},
+            "learner.method must be one of 'q_learning' or 'expected_sarsa'",
+        ),
+        (
+            "deep_q",
+            {"temperature": 0.5},
+            "temperature is not read with exploration epsilon_greedy; leave it out, or set",
+        ),
+        ("linear_q", {"exploration": "boltzmann", "epsilon": 0.5}, "learner.exploration=epsilon_greedy"),
         ("tabular_q", {}, "learner.name: tabular_q learns finite tasks"),
     ],
 )

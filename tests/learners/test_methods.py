@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import textbook
 from finite_mdp import random_task
-from methods import numbers_of, process_of
+from methods import car_lengths, numbers_of, process_of
 
 from humanoid_mjx import InputError, make_learner, make_task
 from humanoid_mjx.compute import rng
@@ -57,6 +57,20 @@ def test_the_books_agent_has_the_learners_keys():
     assert {key: getattr(learner, key) for key in asdict(textbook.Settings())} == asdict(textbook.Settings())
 
 
+def test_random_first_tables_are_uniform_around_the_tasks_own():
+    values = {"initial_spread": 3.0, "initial_value": 1.0, "method": "double_q"}
+    learner = make_learner("tabular_q", make_task("joint_reach", states=500), **values)
+    one, other = (np.asarray(learner.init(rng.key(seed)).q_table) for seed in (0, 1))
+    own = np.tile(np.asarray(learner.task.initial_q()) + 1.0, 2)
+    # The same seed draws the same table, another seed and the other table of double_q others.
+    np.testing.assert_array_equal(one, learner.init(rng.key(0)).q_table)
+    assert not np.isclose(one, other).any() and not np.isclose((one - own)[:, :2], (one - own)[:, 2:]).any()
+    assert np.abs(one - own).max() < 3.0
+    # Of 2,000 uniform numbers: four standard errors.
+    assert np.mean(one - own) == pytest.approx(0.0, abs=4 * 3 / np.sqrt(3 * 2000))
+    assert np.var(one - own) == pytest.approx(3.0, rel=0.1)
+
+
 def test_double_q_starts_both_tables_from_a_policy():
     learner = make_learner("tabular_q", make_task("joint_reach", states=6), method="double_q", step_size="visits")
     policy = jnp.arange(12.0).reshape(6, 2)
@@ -75,6 +89,7 @@ def test_double_q_starts_both_tables_from_a_policy():
         ({}, {"method": "n_step", "steps": 17}, "steps must be at most 16, got 17"),
         ({}, {"method": "watkins"}, "method must be one of 'q_learning', "),
         ({}, {"initial_value": 1.0, "start_from": "runs/a"}, "initial_value is not read with start_from"),
+        ({}, {"initial_spread": 1.0, "start_from": "runs/a"}, "initial_spread is not read with start_from"),
         ({"rules": "printed"}, {"method": "sarsa"}, "takes method q_learning and"),
         ({}, {"agents": 2, "method": "n_step"}, "agents must be 1 with method sarsa, n_step"),
         ({}, {"agents": 2, "decay": "visit"}, "agents must be 1 with method sarsa, n_step"),
@@ -84,3 +99,11 @@ def test_keys_that_nothing_reads_are_refused(task, values, words):
     with pytest.raises(InputError) as refusal:
         make_learner("tabular_q", make_task("joint_reach", **task), **values)
     assert words in str(refusal.value)
+
+
+def test_tiles_drive_the_mountain_car_as_the_books_do():
+    """Figure 10.2: episodes 2 to 6, by other random numbers. `experiments/methods.py` drives 500."""
+    lengths = car_lengths(0.5, 6, 16, 8_000), textbook.mountain_car(0.5, 6, 16, sarsa=False)
+    found, expected = (each[:, 1:].mean() for each in lengths)
+    # Three standard errors of the difference are 17 %; two fifths of the step size make episodes longer by a half.
+    assert found == pytest.approx(expected, rel=0.25)
