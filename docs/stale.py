@@ -23,6 +23,7 @@ DEPENDS: dict[str, Sequence[str]] = {
     "*leg_reach*": (*LEARNING, "tasks/leg_reach.py", "physics/chain.py", "mechanics"),
     "*posture_switch*": (*LEARNING, "tasks/posture_switch.py", "physics", "mechanics"),
     "*in_turn": (*BODIES, *TABLES),
+    "relearning_legs": (*LEARNING, "tasks/leg_reach.py", "physics/chain.py", "mechanics"),
     "relearning": (*TABLES, "tasks/navigate.py"),
     "cpu_2_cores": (*BODIES, *TABLES, "tasks/leg_reach.py"),
     "h200": (*BODIES, *TABLES, "tasks/leg_reach.py"),
