@@ -127,7 +127,7 @@ def _finding(quantity: str, mark: Any, value: Any, why: str, config: Mapping[str
 
 def _draw(setting: Setting, t: np.ndarray, curves: Mapping[str, np.ndarray]) -> None:
     """Torques of the planned motion by model, (5, times) N m each, with what is printed of their start and end."""
-    title = "Torques of the planned motion; dots: start and end as section 7 C prints them"
+    title = "Torques of the planned motion; as section 7 C prints them, dots: start and end, triangles: the greatest"
     with setting.figure(1, len(curves), size=(4.3, 3.8), title=title, sharey=True) as (_, axes):
         for panel, (words, tau) in zip(axes[0], curves.items(), strict=True):
             plot_joints(panel, t, tau.T)
@@ -135,6 +135,11 @@ def _draw(setting: Setting, t: np.ndarray, curves: Mapping[str, np.ndarray]) -> 
         for time, when in ((0.0, "start"), (thesis.QUINTIC_S, "end")):
             for joint, mark in enumerate(thesis.FIGURE_7_5[when]):
                 axes[0, 0].plot(time, mark, "o", color=COLORS[joint], markersize=5, clip_on=False)
+        for joint, mark in enumerate(thesis.FIGURE_7_5["maximum"]):
+            for panel, tau in zip(axes[0, :2], curves.values(), strict=False):
+                panel.plot(
+                    t[tau[joint].argmax()], mark, "^", color=COLORS[joint], markersize=6, markeredgecolor="white"
+                )
         axes[0, 0].set_ylabel("joint torque, N m")
 
 

@@ -168,10 +168,12 @@ def _draw(setting: Setting, joint: int, errors: Mapping[str, np.ndarray]) -> Non
     title = f"Joint {joint + 1} ({NAMES[joint]}) from q = 0"
     with setting.figure(1, 2, size=(5.2, 4.2), title=title, legend=2) as (_, axes):
         places, distances = axes[0]
-        places.plot(times, plan, color=COLORS[6], linestyle="--", linewidth=1, label="planned")
-        for color, (words, error) in zip(COLORS, errors.items(), strict=False):
-            places.plot(times, plan - error, color=color, label=words)
-            distances.plot(times, np.abs(error), color=color)
+        places.plot(times, plan, color=COLORS[6], linestyle="--", linewidth=1, label="planned", zorder=3)
+        widths = (5, 1.4, 1.4, 1.4)  # the thesis's own law stays visible below the others
+        for color, width, (words, error) in zip(COLORS, widths, errors.items(), strict=False):
+            look = {"color": color, "linewidth": width, "alpha": 0.5 if width > 2 else 1.0}
+            places.plot(times, plan - error, label=words, **look)
+            distances.plot(times, np.abs(error), **look)
         log_axis(distances, upright=True)
         distances.set_ylim(LEAST_SHOWN, 3)
         places.plot(last, [place] * 2, **bar, label="as printed, at 5 s")

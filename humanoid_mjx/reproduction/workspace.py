@@ -11,6 +11,7 @@ import numpy as np
 
 from humanoid_mjx import kinematics
 from humanoid_mjx.mechanics.gaits import Gait, gait
+from humanoid_mjx.mechanics.trajectories import rest_to_rest
 from humanoid_mjx.report.style import COLORS
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, departures, experiment, in_words, listed
 from humanoid_mjx.reproduction.leg_values import over, planned, plot_joints
@@ -87,7 +88,7 @@ def workspace(name: str, setting: Setting) -> Iterator[Finding]:
     lengths = setting.config["lengths"]
     path = _toe(lengths.values(), _motion(name, np.linspace(0, thesis.QUINTIC_S, 401)))
     cloud = _cloud(lengths.values(), thesis.WORKSPACE_JOINTS[name])
-    _draw(setting, name, path, cloud)
+    _draw(setting, name, lengths.values(), path, cloud)
     yield _extents(name, path, lengths)
     if name == "straight walking":
         yield _hemisphere(name, cloud, lengths)
@@ -115,9 +116,11 @@ def _hemisphere(name: str, cloud: np.ndarray, lengths: dict[str, float]) -> Find
     return check(quantity, "hemispherical in shape", found, agrees, why, HEMISPHERE, values)
 
 
-def _draw(setting: Setting, name: str, path: np.ndarray, cloud: np.ndarray) -> None:
+def _draw(setting: Setting, name: str, lengths: Any, path: np.ndarray, cloud: np.ndarray) -> None:
     """Places in reach, the path and the printed ends, from the right and from behind."""
     marks = np.array(thesis.WORKSPACE[name])
+    to_recovered = rest_to_rest(_motion(name, np.zeros(1))[0], np.radians(thesis.STRAIGHT_WALK_END), thesis.QUINTIC_S)
+    swapped = _toe(lengths, planned(np.linspace(0, thesis.QUINTIC_S, 401), to_recovered).position)
     title = f"{name.capitalize()}: where the toe goes and could go"
     with setting.figure(1, 2, size=(4.2, 4.4), title=title, legend=3) as (_, axes):
         views = ((0, "x (forwards), m", "From the right"), (2, "z (sideways), m", "From behind"))
@@ -125,6 +128,9 @@ def _draw(setting: Setting, name: str, path: np.ndarray, cloud: np.ndarray) -> N
             panel.plot(cloud[:, across], cloud[:, 1], ",", color="0.75")
             panel.plot([], [], "s", color="0.75", label="in reach in the ranges of Table 3.2")
             panel.plot(path[:, across], path[:, 1], color=COLORS[0], label="planned path of the toe")
+            if name == "straight walking":
+                words = "with knee to 45° and ankle to 120°, as recovered"
+                panel.plot(swapped[:, across], swapped[:, 1], "--", color=COLORS[2], label=words)
             panel.plot(marks[:, across], marks[:, 1], "x", color=COLORS[1], markersize=8, label="both ends as printed")
             panel.plot(path[0, across], path[0, 1], "o", color=COLORS[6], fillstyle="none", label="start")
             panel.plot(thesis.LINK_LENGTHS[0] * (across == 2), 0.0, "s", color=COLORS[6], markersize=5, label="hip")
