@@ -141,7 +141,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     plan = make_plan(load(config, overrides))
     console.print(dump_yaml(plan.resolved()).rstrip())
     _print_rows("", [HEADINGS, *dict.fromkeys(row for own in plan.learners for row in differences_of(own.task))])
-    size = sum(run_bytes(group) * len(group.runs) for group in plan.groups)
+    size = sum(run_bytes(group) * len(group.first_runs) for group in plan.groups)
     most = max(training_bytes(group) for group in plan.groups)
     together, refusal = [1] * len(plan.groups), None
     try:
@@ -150,8 +150,15 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
         together = [slots(group, runs_at_once(group, width=plan.width(group))) for group in plan.groups]
     except InputError as error:
         refusal = error
+    if len(plan.rungs) > 1:
+        rungs = ", ".join(f"{rung.points:,} with {rung.budget:,} {plan.unit}s" for rung in plan.rungs)
+        console.print(
+            f"\nhalving trains {rungs}: as much as {plan.work:,.1f} of all {len(plan.points):,} points to the end, "
+            f"{plan.work / len(plan.points):.0%}",
+            soft_wrap=True,
+        )
     console.print(
-        f"\n{counted(len(plan.points), 'point')} x {counted(plan.config.seeds, 'seed')} = "
+        f"\n{counted(plan.num_runs // plan.config.seeds, 'point')} x {counted(plan.config.seeds, 'seed')} = "
         f"{counted(plan.num_runs, 'run')} in {counted(len(plan.groups), 'compiled program')}; "
         f"training state {decimal(size)} if all were held at once, "
         f"a run that trains an estimated {decimal(most)}"

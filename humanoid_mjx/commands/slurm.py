@@ -18,7 +18,7 @@ from humanoid_mjx.commands.sweep import run_sweep
 from humanoid_mjx.compute import kept
 from humanoid_mjx.config import load, parse_yaml
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
-from humanoid_mjx.runs.tables import finished_runs
+from humanoid_mjx.runs.tables import finished_runs, run_numbers
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.chunks import Chunk, Desk, chunks
 from humanoid_mjx.training.plan import Plan, make_plan
@@ -99,6 +99,11 @@ def submit_sweep(
     """
     submitit, parameters = _submitit(), _parameters(given)
     plan = make_plan(load(config, overrides))
+    if len(plan.rungs) > 1:
+        raise InputError(
+            "--slurm: in mode halving the results of a rung decide which points train next, and jobs of an array do "
+            f"not wait for each other; in one job write humanoid-mjx sweep {config}, on several machines add --ray."
+        )
     place = Path(out or (latest_path if resume else fresh_path)(plan.config.name))
     folder = (RunFolder.resume if resume else RunFolder.create)(place, plan.resolved())
     try:
@@ -126,9 +131,8 @@ def _submit(
     executor = submitit.AutoExecutor(folder=place / LOGS, cluster=cluster, **limits)
     defaults = {"name": plan.config.name} | ({"timeout_min": 60 * 24 * 7} if cluster == "local" else {})
     executor.update_parameters(**defaults | parameters)
-    done = finished_runs(place, ("point", "seed"))
-    finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
-    left = [chunk.number for chunk in chunks(plan) if not finished.issuperset(chunk.runs)]
+    done = run_numbers(finished_runs(place, ("point", "seed")), len(plan.points), plan.config.seeds)
+    left = [chunk.number for chunk in chunks(plan) if not np.isin(chunk.runs, done).all()]
     run, jobs = place.absolute(), []
     if left:
         with executor.batch():

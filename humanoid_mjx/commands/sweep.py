@@ -70,13 +70,13 @@ def run_sweep(
         bar.phase("drawing figures")
         from humanoid_mjx.evaluation.replay import why_stopped
         from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
-        from humanoid_mjx.runs.ranking import in_words, ranked
+        from humanoid_mjx.runs.ranking import in_words, ranked, rungs_in_words
 
         summary, quickest = run.summary, run.config.episodes is not None
         learning, paths = draw_run(run, summary)
     axes, points = list(learning.axes), ranked(list(learning.axes), summary, quickest)
     print_summary(axes, summary, points, learning.compared, read_provenance(run.path), quickest)
-    if words := why_stopped(run.path, summary):
+    for words in filter(None, (rungs_in_words(summary), why_stopped(run.path, summary))):
         console.print(words, soft_wrap=True)
     for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
         console.print(f"{path}", soft_wrap=True)

@@ -16,20 +16,42 @@ MAX_POINTS = 100_000
 Axis = list | dict[str, list]
 
 
+HALVING = {"eta": 3, "rungs": 4}
+"""Keys of mode halving, and their defaults."""
+
+
 class Sweep(pydantic.BaseModel):
-    """Axes of a sweep. `mode` makes points of them: all combinations (grid), row by row (zip), or random draws."""
+    """Axes of a sweep. `mode` makes points of them: all combinations (grid), row by row (zip), or random draws.
+
+    Mode halving takes random draws where `points` says how many, else all combinations. They train with a small budget,
+    and the best of them again with a greater one (`training.plan.Rung`).
+    """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    mode: Literal["grid", "zip", "random"] = "grid"
-    points: int | None = pydantic.Field(None, ge=1, le=MAX_POINTS, description="how many draws, in mode random")
+    mode: Literal["grid", "zip", "random", "halving"] = "grid"
+    points: int | None = pydantic.Field(None, ge=1, le=MAX_POINTS, description="draws, in mode random or halving")
+    eta: int | None = pydantic.Field(None, ge=2, le=100, description="1 of eta points goes on, in mode halving")
+    rungs: int | None = pydantic.Field(None, ge=2, le=20, description="trainings of the best, in mode halving")
     axes: dict[str, Axis] = pydantic.Field(min_length=1)
 
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _halving_has_defaults(cls, data: Any) -> Any:
+        return HALVING | data if isinstance(data, dict) and data.get("mode") == "halving" else data
+
     @pydantic.model_validator(mode="after")
-    def _points_belong_to_random(self) -> "Sweep":
-        if (self.mode == "random") != (self.points is not None):
-            raise ValueError("points is required in mode random and has no meaning in the others")
+    def _keys_belong_to_their_mode(self) -> "Sweep":
+        if self.mode != "halving" and (self.mode == "random") != (self.points is not None):
+            raise ValueError("points is required in mode random and has no meaning in the modes grid and zip")
+        if odd := [key for key in HALVING if (self.mode == "halving") != (getattr(self, key) is not None)]:
+            raise ValueError(f"{odd[0]} belongs to mode halving and has no meaning in the others")
         return self
+
+    @property
+    def factors(self) -> list[int]:
+        """By rung the divisor of the number of points; in reverse that of the budget."""
+        return [(self.eta or 1) ** rung for rung in range(self.rungs or 1)]
 
 
 def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
@@ -39,23 +61,24 @@ def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
       InputError: an axis that is empty or unusable, one with a value twice in mode grid, axes of unequal length in mode
         zip.
     """
-    if sweep.mode == "random":
+    combined = sweep.mode in ("grid", "halving") and sweep.points is None
+    if sweep.points:
         rng = np.random.default_rng(seed)
-        columns = [_draw(rng, name, axis, sweep.points or 0) for name, axis in sweep.axes.items()]
+        columns = [_draw(rng, name, axis, sweep.points) for name, axis in sweep.axes.items()]
     else:
         columns = [axis_values(name, axis) for name, axis in sweep.axes.items()]
     lengths = [len(column) for column in columns]
     for name, column in zip(sweep.axes, columns, strict=True):
-        if sweep.mode == "grid" and len({(type(value), value) for value in column}) < len(column):
+        if combined and len({(type(value), value) for value in column}) < len(column):
             twice = next(value for place, value in enumerate(column) if value in column[:place])
             raise InputError(f"sweep.axes.{name}: the axis holds {twice!r} twice.")
     if sweep.mode == "zip" and len(set(lengths)) != 1:
         pairs = ", ".join(f"{name}: {length}" for name, length in zip(sweep.axes, lengths, strict=True))
         raise InputError(f"sweep.axes must be equally long in mode zip, got {pairs}.")
-    if sweep.mode == "grid" and math.prod(lengths) > MAX_POINTS:
+    if combined and math.prod(lengths) > MAX_POINTS:
         instead = "draw some of them: mode: random with points: 200"
         raise InputError(f"sweep.axes: {math.prod(lengths):,} points are more than {MAX_POINTS:,}; {instead}.")
-    rows: Iterable[tuple] = product(*columns) if sweep.mode == "grid" else zip(*columns, strict=True)
+    rows: Iterable[tuple] = product(*columns) if combined else zip(*columns, strict=True)
     return [dict(zip(sweep.axes, row, strict=True)) for row in rows]
 
 

@@ -149,7 +149,8 @@ def policies_of_best(path: Path, point: int | None = None, most: int | None = No
         raise InputError(f"--point {point}: {path} holds no finished run of it; it has {len(points)}, from 0 on.")
     try:
         if point is None:
-            point = ranked((), {"point": arrays["point"]} | scores(arrays), quickest)[0].point
+            rung = {name: array for name, array in arrays.items() if name in ("point", "rung")}
+            point = ranked((), rung | scores(arrays), quickest)[0].point
         cost = arrays["final.greedy_steps"] if quickest else -arrays["final.greedy_return"]
         order, values = np.lexsort((cost, -arrays["final.greedy_success"])), points[point]
     except LookupError as error:

@@ -266,7 +266,7 @@ def draw_terms(panel: Any, learning: Learning, axis_name: str | None, names: Seq
 def parameters(learning: Learning) -> list[Figure]:
     """The figures of what the parameters do: of `random` sweeps each one, of all but `zip` which matters."""
     judged, axes = [each for each in learning.compared[:2] if each.measure], learning.axes
-    if not judged or len(axes) < 2 or learning.mode == "zip" or len(learning.points) < 2:
+    if not judged or len(axes) < 2 or learning.mode in ("zip", "halving") or len(learning.points) < 2:
         return []
     shares = [Figure(MEASURES[each.measure], (), partial(_shares, judged=each)) for each in judged]
     if learning.mode != "random":

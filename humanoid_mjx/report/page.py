@@ -32,7 +32,7 @@ from humanoid_mjx.report.web import contents, data_address, facts, image, link, 
 from humanoid_mjx.robot.differences import HEADINGS, differences_of
 from humanoid_mjx.runs.curves import Learning, read_learning
 from humanoid_mjx.runs.folder import read_config, read_provenance
-from humanoid_mjx.runs.ranking import Ranked, best_table, in_words, ranked, short
+from humanoid_mjx.runs.ranking import Ranked, best_table, in_words, ranked, rungs_in_words, short
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.pace import time_in_words
@@ -116,7 +116,7 @@ def _result(
     parts = [table(headings, rows, caption=caption)]
     if found := in_words(list(learning.axes), points, learning.compared):
         parts.append(text(_capital(found)))
-    if words := why_stopped(path, summary):
+    for words in filter(None, (rungs_in_words(summary), why_stopped(path, summary))):
         parts.append(f'<p class="note">{text(words, "strong")}</p>')
     words = (
         "Greedy: episodes in which nothing is explored or learned, after training. Success is the mean over seeds, the "

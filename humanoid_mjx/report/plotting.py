@@ -13,7 +13,7 @@ from humanoid_mjx.report.learned import draw_learned
 from humanoid_mjx.report.style import COLORS, count_axis, figure, is_geometric, label_lines, log_axis, shades
 from humanoid_mjx.runs.curves import swept
 from humanoid_mjx.runs.folder import read_config
-from humanoid_mjx.runs.ranking import MAX_LEVELS, Levels, find_levels, short
+from humanoid_mjx.runs.ranking import MAX_LEVELS, Levels, find_levels, furthest, short
 from humanoid_mjx.runs.tables import column_names, read_table
 from humanoid_mjx.spec import InputError, known
 
@@ -94,9 +94,12 @@ def _read(path: Path, wanted: Sequence[str], curves: bool) -> dict[str, np.ndarr
             kind = "learning curves" if curves else "final values"
             names = [*there, *([TIME] if timed else []), RUN]
             raise InputError(f"{path}: there is no column {name!r} among its {kind}; {known(name, names)}.")
-    table = read_table(file, [name for name in wanted if name in there])
+    halved = {"rung"} & {*there} - {*wanted}
+    table = read_table(file, [name for name in (*wanted, *halved) if name in there])
     if TIME in wanted and TIME not in table:
         table |= read_table(timing, [TIME])
+    if halved:  # points that were stopped are no part of a line, unless the figure says at which rung they were
+        table = {name: values for name, values in furthest(table).items() if name != "rung"}
     run = table["point"].astype(np.int64) * (int(table["seed"].max(initial=0)) + 1) + table["seed"]
     starts = np.flatnonzero(np.diff(run, prepend=-1))
     lengths = np.diff(starts, append=len(run))
@@ -181,6 +184,9 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
         left_out = _draw(panel, rows, across, x, y, by)
         if others and by is None and x not in axes:
             left_out.append(f"One line for all values of {', '.join(others)}; --by {others[0]} tells them apart.")
+        halved = [path for path in paths if "rung" in column_names(path / "results.parquet")]
+        if halved and "rung" not in (x, y, by):
+            left_out.append(f"Of {halved[0]} only the points of the last rung are drawn; --by rung shows all.")
         panel.set_xlabel(NAMES.get(x, x))
         panel.set_ylabel(NAMES.get(y, y))
     return target, left_out

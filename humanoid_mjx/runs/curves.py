@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from jaxtyping import Float, Num
 
-from humanoid_mjx.runs.ranking import NOT_COMPARED, Compared, by_point, compared, ranked
+from humanoid_mjx.runs.ranking import NOT_COMPARED, Compared, at_end, by_point, compared, furthest, ranked
 from humanoid_mjx.runs.tables import column_names, read_table
 from humanoid_mjx.spec import InputError
 
@@ -19,7 +20,7 @@ class Learning:
     """What a sweep has learned: curves and final values, by point and seed; NaN where a run has no number."""
 
     mode: str
-    """`grid`, `zip` or `random`."""
+    """`grid`, `zip`, `random`, or `halving`, of which the points that were stopped are left out."""
     axes: Mapping[str, np.ndarray]
     """Swept parameters: the value of each point."""
     unit: str
@@ -62,19 +63,21 @@ def read_learning(path: Path, config: Mapping[str, Any], summary: Mapping[str, n
     if missing := [axis for axis in axes if axis not in summary or axis not in columns]:
         raise InputError(f"{path}: its tables do not fit its config; they have no column {missing[0]}.")
     schema = pq.read_schema(file)
-    unit, runs = "step" if "step" in columns else "episode", len(summary["point"])
+    unit, runs, kept = "step" if "step" in columns else "episode", len(summary["point"]), at_end(summary)
     names = [name for name in columns if str(schema.field(name).type) in ("float", "double") and "." not in name]
     record, odd = divmod(pq.read_metadata(file).num_rows, runs)
     if odd or not record:
         raise InputError(f"{path}: its tables do not fit together; --resume the run to write them anew.")
-    batch = next(pq.ParquetFile(file).iter_batches(record, columns=[unit]))
+    batches = pq.ParquetFile(file).iter_batches(record, columns=[unit])
+    places = next(islice(batches, int(np.argmax(kept)), None)).column(0).to_numpy(zero_copy_only=False)
+    summary = furthest(summary)
     points, first, row = np.unique(summary["point"], return_index=True, return_inverse=True)
     seeds, column = np.unique(summary["seed"], return_inverse=True)
 
     def read(name: str) -> np.ndarray:
         curves = read_table(file, [name])[name].reshape(runs, record)
         found = np.full((len(points), len(seeds), record), np.nan, curves.dtype)
-        found[row, column] = curves
+        found[row, column] = curves[kept]
         return found
 
     place = {int(number): index for index, number in enumerate(points)}
@@ -82,14 +85,14 @@ def read_learning(path: Path, config: Mapping[str, Any], summary: Mapping[str, n
         mode,
         {axis: summary[axis][first] for axis in axes},
         unit,
-        batch.column(0).to_numpy(zero_copy_only=False),
+        places,
         columns,
         names,
         read,
         len(seeds),
         points.tolist(),
         [place[each.point] for each in ranked(axes, summary, quickest)],
-        lambda: read_table(file),
+        lambda: {name: values[np.repeat(kept, record)] for name, values in read_table(file).items()},
         lambda name: by_point(summary, name)[1] if name in summary else None,
         compared(mode, axes, summary, quickest),
     )

@@ -13,7 +13,7 @@ from humanoid_mjx.config.axes import sweep_points
 from humanoid_mjx.files import lock, meant
 from humanoid_mjx.runs.folder import damaged, disk_used, pools, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
-from humanoid_mjx.runs.tables import finished_runs, read_table
+from humanoid_mjx.runs.tables import all_runs, read_table, run_numbers
 from humanoid_mjx.spec import InputError
 
 FOREIGN = 3
@@ -87,9 +87,11 @@ def look_at(path: Path) -> Listed:
     config, provenance = read_config(path), read_provenance(path)
     try:
         seeds = int(config.get("seeds", 1))
-        points = int(provenance["points"]) if "points" in provenance else _count_points(path, config)
+        sweep = parse(config, str(path / "config.yaml")).sweep
+        points = int(provenance.get("points", 0)) or (len(sweep_points(sweep, config["seed"])) if sweep else 1)
         started = _started(path, provenance)
-        share = _share(path, points * seeds, seeds, provenance)
+        runs = seeds * sum(points // factor for factor in (sweep.factors if sweep else [1]))
+        share = _share(path, runs, points, seeds, provenance)
         success, greedy_return, diverged = _outcome(path, config)
         named = (str(config["name"]), str(config["task"]["name"]), str(config["learner"]["name"]))
     except InputError:
@@ -100,12 +102,6 @@ def look_at(path: Path) -> Listed:
     return Listed(path, *named, points, seeds, state, share, success, greedy_return, diverged, started, disk_used(path))
 
 
-def _count_points(path: Path, config: dict[str, Any]) -> int:
-    """The number of sweep points of a run that was killed before anything was finished."""
-    parsed = parse(config, str(path / "config.yaml"))
-    return len(sweep_points(parsed.sweep, parsed.seed)) if parsed.sweep else 1
-
-
 def _started(path: Path, provenance: Mapping[str, Any]) -> datetime:
     if "started" in provenance:
         found = datetime.fromisoformat(provenance["started"])
@@ -113,14 +109,13 @@ def _started(path: Path, provenance: Mapping[str, Any]) -> datetime:
     return datetime.fromtimestamp((path / "config.yaml").stat().st_mtime, UTC)
 
 
-def _share(path: Path, runs: int, seeds: int, provenance: Mapping[str, Any]) -> float:
+def _share(path: Path, runs: int, points: int, seeds: int, provenance: Mapping[str, Any]) -> float:
     """Share of all runs that is trained: of finished ones all, of those under way as their checkpoint says."""
     if runs < 1:
         raise ValueError("no runs")
     if provenance.get("runs_finished") == runs:
         return 1.0
-    done = finished_runs(path, ("point", "seed"))
-    finished = done["point"] * seeds + done["seed"] if done else np.zeros(0, int)
+    finished = run_numbers(all_runs(path, ("point", "seed")), points, seeds)
     if len(finished) >= runs:
         return 1.0
     under_way: dict[int, float] = {}

@@ -40,8 +40,27 @@ BEST_POINTS = 10
 """Rows of a table of points."""
 
 
+def at_end(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Mask of the rows of the points that got furthest: all but in mode halving, where the others were stopped."""
+    return columns["rung"] == columns["rung"].max() if "rung" in columns else np.ones(len(columns["point"]), bool)
+
+
+def furthest(columns: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    """The rows of `at_end`."""
+    return {name: column[at_end(columns)] for name, column in columns.items()} if "rung" in columns else columns
+
+
+def rungs_in_words(summary: Mapping[str, np.ndarray]) -> str:
+    """How far the points of a sweep in mode halving got; nothing of another sweep."""
+    if "rung" not in summary:
+        return ""
+    rungs, counts = np.unique(by_point(summary, "rung")[1].max(axis=1), return_counts=True)
+    ended = ", ".join(f"{count:,} at rung {rung:g}" for rung, count in zip(rungs, counts, strict=True))
+    return f"halving: {counts.sum():,} points ended, {ended}; only those at rung {rungs[-1]:g} are ranked and compared."
+
+
 def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: bool) -> list[Ranked]:
-    """All points from best to worst.
+    """All points from best to worst; of a sweep in mode halving those that got furthest.
 
     First come those whose greedy episodes succeed most often, among them the quickest or those of the highest return.
     Those that are equal are told apart by how they learned: by the area under the curve, then by the end of training.
@@ -49,6 +68,7 @@ def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: boo
     `quickest`: as the thesis judges its tables. A body that falls is quick too, so what is trained by control steps is
     judged by its return.
     """
+    summary = furthest(summary)
     order = np.argsort(summary["point"], kind="stable")
     points, starts, counts = np.unique(summary["point"][order], return_index=True, return_counts=True)
 
@@ -116,12 +136,13 @@ NOT_COMPARED = Compared(UNJUDGED, UNJUDGED, 0, 0)
 
 def compared(mode: str, axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: bool) -> Compared:
     """Compare all finished points: first by what they have learned, then by how they learned it."""
+    summary = furthest(summary)
     points, finished = by_point(summary, "seed")
     whole = np.asarray(np.isfinite(finished).all(axis=1))
     if not whole.any():
         return NOT_COMPARED
     left, best = whole.copy(), points == ranked(axes, summary, quickest)[0].point
-    levels = {axis: by_point(summary, axis)[1][:, 0] for axis in axes if mode != "zip"}
+    levels = {axis: by_point(summary, axis)[1][:, 0] for axis in axes if mode in ("grid", "random")}
 
     def judged(names: Sequence[str]) -> Judged:
         measure, values = "", finished
@@ -221,7 +242,8 @@ def best_table(
     axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool, found: Compared
 ) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of a table of the first `BEST_POINTS`, by what `quickest` judges them by (`ranked`)."""
-    measure, seeds = "steps" if quickest else "return", len(np.unique(summary["seed"]))
+    summary, measure = furthest(summary), "steps" if quickest else "return"
+    seeds = len(np.unique(summary["seed"]))
     greedy = ["greedy steps"] if quickest else ["greedy return", "greedy steps"]
     headings = ["point", *axes, "greedy success", *greedy, f"{measure} over all of training (95\u00a0%)"]
     some_diverged, compares = bool(np.any(summary["diverged"])), found.complete > 1

@@ -26,26 +26,24 @@ class Labels(NamedTuple):
     """The hyper-parameters as columns, an entry for each sweep point."""
     unit: str
     """Unit of a learning curve: `episode` or `step`."""
-    places: Int[np.ndarray, " record"]
-    """The count at each record point."""
+    places: Int[np.ndarray, "rungs record"]
+    """The count at each record point, by the rung of the run: one rung but in mode halving."""
 
 
-def write_tables(folder: RunFolder, labels: Labels) -> int:
+def write_tables(folder: RunFolder, labels: Labels) -> None:
     """Write results, summary and timing of all runs that are finished, ordered by point and seed.
-
-    Returns:
-      the number of finished runs.
 
     Raises:
       InputError: a file of the checkpoint is damaged or of another training.
     """
     arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."), folder.digest)
     if not arrays:
-        return 0
+        return
     runs = {"point": arrays["point"], "seed": arrays["seed"]}
     try:
-        rows = {name: np.repeat(numbers, len(labels.places)) for name, numbers in runs.items()}
-        rows[labels.unit] = np.tile(labels.places, len(arrays["point"])).astype(np.int32)
+        runs |= {"rung": arrays["rung"] + 1} if "rung" in arrays else {}
+        rows = {name: np.repeat(numbers, labels.places.shape[1]) for name, numbers in runs.items()}
+        rows[labels.unit] = labels.places[arrays.get("rung", np.zeros_like(runs["point"]))].reshape(-1).astype(np.int32)
         curves = {name: curve.reshape(-1) for name, curve in named(arrays, "curve").items()}
         columns = {
             "results": rows | _hyper(labels, rows["point"]) | curves,
@@ -59,19 +57,29 @@ def write_tables(folder: RunFolder, labels: Labels) -> int:
         with folder.writing(f"{name}.parquet") as path:
             table = table.replace_schema_metadata({"config": folder.digest})
             pq.write_table(table, path, compression="zstd", write_page_checksum=True)
-    return len(arrays["point"])
 
 
 def finished_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None) -> dict[str, np.ndarray]:
-    """The arrays of a run folder's finished runs whose names start so, ordered by point and seed.
+    """The arrays of `all_runs`; in mode halving those of the last rung that each point has reached."""
+    arrays = all_runs(path, prefixes, digest)
+    if "rung" not in arrays:
+        return arrays
+    order = np.lexsort((arrays["rung"], arrays["seed"], arrays["point"]))
+    point, seed = arrays["point"][order], arrays["seed"][order]
+    last = order[np.append((np.diff(point) != 0) | (np.diff(seed) != 0), True)]
+    return {name: array[last] for name, array in arrays.items()}
 
-    `digest`: that of the run's config; by default of `config.yaml`.
+
+def all_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None) -> dict[str, np.ndarray]:
+    """The arrays of a run folder's finished runs whose names start so, ordered by rung, point and seed.
+
+    `digest`: that of the run's config; by default of `config.yaml`. `rung` counts from 0, in mode halving only.
 
     Raises:
       InputError: a file of the checkpoint is damaged, of another run, or there twice.
     """
     digest = digest or config_digest(read_config(path))
-    loaded = {part: read_arrays(part, prefixes, digest) for part in parts(path)}
+    loaded = {part: read_arrays(part, (*prefixes, "rung"), digest) for part in parts(path)}
     if not loaded:
         return {}
     form, seen = None, set()
@@ -79,13 +87,21 @@ def finished_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = No
         form = form or _form(arrays)
         if form is None or _form(arrays) != form:
             raise damaged(part, "is of another training")
-        runs = set(zip(arrays["point"].tolist(), arrays["seed"].tolist(), strict=True))
+        rung = arrays.get("rung", np.zeros_like(arrays["point"]))
+        runs = set(zip(rung.tolist(), arrays["point"].tolist(), arrays["seed"].tolist(), strict=True))
         if len(runs) < len(arrays["point"]) or runs & seen:
             raise damaged(part, "holds runs that another one holds")
         seen |= runs
     whole = {name: np.concatenate([arrays[name] for arrays in loaded.values()]) for name in form or ()}
-    order = np.lexsort((whole["seed"], whole["point"]))
+    order = np.lexsort((whole["seed"], whole["point"], whole.get("rung", np.zeros_like(whole["point"]))))
     return {name: array[order] for name, array in whole.items()}
+
+
+def run_numbers(runs: Mapping[str, np.ndarray], points: int, seeds: int) -> np.ndarray:
+    """(runs,) Numbers of stored runs: (rung * points + point) * seeds + seed."""
+    if not runs:
+        return np.zeros(0, np.int64)
+    return (runs["point"] + runs.get("rung", np.int64(0)) * points) * seeds + runs["seed"]
 
 
 def _form(arrays: dict[str, np.ndarray]) -> dict[str, Any] | None:

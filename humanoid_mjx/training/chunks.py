@@ -48,14 +48,17 @@ class Chunk(NamedTuple):
     runs: tuple[int, ...]
 
 
-def chunks(plan: Plan) -> list[Chunk]:
-    """Return all runs of a plan in chunks of `config.chunk` runs."""
-    parts = [
-        (index, tuple(group.runs[first : first + plan.chunk].tolist()))
-        for index, group in enumerate(plan.groups)
-        for first in range(0, len(group.runs), plan.chunk)
-    ]
-    return [Chunk(number, *part) for number, part in enumerate(parts)]
+def chunks(plan: Plan, points: np.ndarray | None = None) -> list[Chunk]:
+    """Return runs of a plan in chunks of `config.chunk` runs.
+
+    `points`: numbers of the points that train at a rung, as in `Group.points`; by default all at the first rung.
+    """
+    chosen = np.arange(len(plan.points)) if points is None else points
+    number, parts = int(chosen[0]) // len(plan.points) * plan.num_runs, []
+    for index, group in enumerate(plan.groups):
+        runs = group.runs[np.isin(group.runs // group.seeds, chosen)]
+        parts += [(index, tuple(runs[i : i + plan.chunk].tolist())) for i in range(0, len(runs), plan.chunk)]
+    return [Chunk(number, *part) for number, part in enumerate(parts, number)]
 
 
 def key_of(chosen: Sequence[Chunk]) -> str:

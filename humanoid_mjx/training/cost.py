@@ -63,7 +63,7 @@ def runs_at_once(group: Group, pool_size: int | None = None, width: int | None =
 
 def slots(group: Group, room: int) -> int:
     """Return the number of a group's runs that train at once in so much `room`."""
-    return min(room, len(group.runs))
+    return min(room, len(group.first_runs))
 
 
 def run_bytes(group: Group) -> int:
@@ -145,6 +145,7 @@ def disk_bytes(plan: Plan, slots: Sequence[int]) -> int:
     """About the most bytes that a run folder takes: policies, curves and tables of all runs, and the checkpoint of
     those that train side by side. Tables are counted as if they were not compressed; figures are not counted."""
     finished = sum(len(group.runs) * finished_bytes(group) for group in plan.groups)
+    finished = finished * plan.num_runs // sum(len(group.runs) for group in plan.groups)
     under_way = [run_bytes(group) * count for group, count in zip(plan.groups, slots, strict=True)]
     return OVERHEAD + finished + KEPT_TWICE * max(under_way)
 

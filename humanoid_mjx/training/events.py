@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from humanoid_mjx.runs.folder import RunFolder
-from humanoid_mjx.runs.tables import finished_runs, named
+from humanoid_mjx.runs.tables import finished_runs, named, run_numbers
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Plan
 
@@ -56,14 +56,15 @@ class Curves:
 
     def __init__(self, folder: RunFolder, plan: Plan, most: int):
         """Begin with the runs that are finished already."""
-        self.plan, self.seeds, self.places = plan, plan.config.seeds, plan.labels().places
+        self.plan, self.seeds, self.places = plan, plan.config.seeds, plan.labels().places[-1]
+        most = most if len(plan.rungs) == 1 else len(plan.points)  # few of them reach the last rung
         self.points = np.sort(np.random.default_rng(0).permutation(len(plan.points))[:most])
         self.measures: dict[str, _Measure] = {}
         self.lock = threading.Lock()
         """Held while the measures change."""
         done = finished_runs(folder.path, ("point", "seed", "curve.", "final."), folder.digest)
         if done:
-            self.store(done["point"] * self.seeds + done["seed"], done)
+            self.store(run_numbers(done, len(plan.points), self.seeds), done)
 
     def grow(self, runs: np.ndarray, progress: np.ndarray, curves: dict[str, np.ndarray]) -> None:
         """Take note of the curves so far of runs under way."""
@@ -86,8 +87,10 @@ class Curves:
         """The sweep is over."""
 
     def _chosen(self, runs: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """Rows of the runs that belong to the points, with the index in `points` and the seed of each."""
+        """Rows of the runs that belong to the points at the last rung, with the index in `points` and the seed of
+        each."""
         points, seeds = np.divmod(runs, self.seeds)
+        points = points - (len(self.plan.rungs) - 1) * len(self.plan.points)
         rows = np.flatnonzero(np.isin(points, self.points) & (runs >= 0))
         return rows, (np.searchsorted(self.points, points[rows]), seeds[rows])
 

@@ -131,7 +131,7 @@ class OnRay:
         _connect(self.ray, address)
         self.config = plan.resolved()
         self.resource = "GPU" if self.ray.cluster_resources().get("GPU") else "CPU"
-        self.at_once = [min(len(group.runs), plan.chunk * max(self._room(), 1)) for group in plan.groups]
+        self.at_once = [min(len(group.first_runs), plan.chunk * max(self._room(), 1)) for group in plan.groups]
         options = {"num_gpus": 1} if self.resource == "GPU" else {"num_cpus": 1}
         self.actor = self.ray.remote(max_concurrency=2, **options)(Worker)
         self.starting: dict[Any, Any] = {}

@@ -240,8 +240,10 @@ def estimate(plan: Plan, rooms: Sequence[int], measured_s: float = MEASURED_S) -
 
 
 def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[float, float, float]:
-    """The seconds of compiling, training and evaluating of a group."""
-    waiting = deque(np.random.default_rng(0).permutation(group.runs).tolist())
+    """The seconds of compiling, training and evaluating of a group; in mode halving by as many runs of the last rung as
+    take the time of all."""
+    runs = np.random.default_rng(0).permutation(group.runs[-len(group.first_runs) :])
+    waiting = deque(runs[: int(np.ceil(len(runs) * plan.work / len(plan.points)))].tolist())
     size, devices = placement(group.learners, len(waiting), room)
     pool = Pool(group, waiting, size, devices, plan.config.seed, earlier_policies(group))
     began = time.monotonic()
@@ -251,8 +253,8 @@ def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[fl
     compiled = time.monotonic()
     pool.finish()
     evaluate_s = time.monotonic() - compiled
-    rounds = -(-len(group.runs) // len(pool.slots))
-    train_s = _seconds_of_training(pool, plan.num_runs, measured_s)
+    rounds = -(-len(runs) * plan.num_runs // (len(plan.points) * group.seeds * len(pool.slots)))
+    train_s = _seconds_of_training(pool, int(group.runs[-1]) + 1, measured_s)
     return max(compiled - began - evaluate_s, 0.0), train_s, rounds * evaluate_s
 
 

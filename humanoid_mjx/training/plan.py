@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,21 +31,38 @@ CPU_CACHE_BYTES = 1 << 21
 """Training state per core beyond which a step slows down (measured: about 1,000 agents of `joint_reach`)."""
 
 
+class Rung(NamedTuple):
+    """A stage of a sweep in mode halving (K. Jamieson and A. Talwalkar, 2016): the best points of the rung before train
+    anew, with a greater budget. A sweep in another mode has one rung."""
+
+    budget: int
+    """Length of each run's training, in `unit`s."""
+    points: int
+    """Number of points that train."""
+
+
 @dataclass(frozen=True, eq=False)
 class Group:
     """Sweep points whose learners share one structure, and so one compiled program."""
 
     learners: Learner
-    """The points' learners as one: every leaf, a traced value, has a leading axis of points."""
+    """The points' learners as one, for each rung: every leaf, a traced value, has a leading axis as `points` has."""
     points: np.ndarray
-    """(num_points,) Numbers of the points in the plan."""
+    """(rungs * num_points,) Numbers of the points at each rung: rung * points of the plan + point."""
     seeds: int
-    """Runs of each point."""
+    """Runs of each point at a rung."""
+    rungs: int = 1
 
     @property
     def runs(self) -> np.ndarray:
-        """(num_points * seeds,) The group's runs, in order. A run is a point with a seed: point * seeds + seed."""
+        """(rungs * num_points * seeds,) The group's runs, in order. A run is a point at a rung with a seed:
+        (rung * points of the plan + point) * seeds + seed."""
         return (self.points[:, None] * self.seeds + np.arange(self.seeds)).reshape(-1)
+
+    @property
+    def first_runs(self) -> np.ndarray:
+        """(num_points * seeds,) The runs of the first rung, where all points train."""
+        return self.runs[: len(self.points) // self.rungs * self.seeds]
 
     @cached_property
     def one_run(self) -> Training:
@@ -86,8 +103,29 @@ class Plan:
 
     @property
     def num_runs(self) -> int:
-        """Number of runs: one for each point and seed."""
-        return len(self.points) * self.config.seeds
+        """Number of runs: one for each point that trains at a rung, and each seed."""
+        return sum(rung.points for rung in self.rungs) * self.config.seeds
+
+    @cached_property
+    def rungs(self) -> list[Rung]:
+        """The rungs, the last of which has the whole budget.
+
+        Raises:
+          InputError: too few points, or too small a budget, for so many rungs.
+        """
+        points, factors = len(self.points), self.config.sweep.factors if self.config.sweep else [1]
+        most, least = factors[-1], max(learner.update_steps for learner in self.learners)
+        if most > 1 and (points < most or self.budget < most * least):
+            raise InputError(
+                f"sweep.rungs: {len(factors)} rungs with eta {factors[1]} need {most:,} points and {most * least:,} "
+                f"{self.unit}s, and there are {points:,} points and {self.budget:,} {self.unit}s; take fewer rungs."
+            )
+        return [Rung(self.budget * on // most, points // on) for on in factors]
+
+    @property
+    def work(self) -> float:
+        """The training of all rungs, in points that train to the end."""
+        return sum(rung.points * rung.budget for rung in self.rungs) / self.budget
 
     @cached_property
     def groups(self) -> list[Group]:
@@ -98,7 +136,12 @@ class Plan:
         groups: list[Group] = []
         for indices in members.values():
             learners = jax.tree.map(lambda *values: _column(values), *(self.learners[i] for i in indices))
-            groups.append(Group(learners, np.array(indices, np.int64), self.config.seeds))
+            if (count := len(self.rungs)) > 1:
+                learners = jax.tree.map(lambda leaf: np.concatenate([leaf] * count), learners)
+                budgets = np.repeat(np.array([rung.budget for rung in self.rungs], np.int32), len(indices))
+                learners = learners.replace(**{learners.unit: budgets})
+            points = np.arange(count)[:, None] * len(self.points) + np.array(indices, np.int64)
+            groups.append(Group(learners, points.reshape(-1), self.config.seeds, count))
         return groups
 
     @cached_property
@@ -118,7 +161,7 @@ class Plan:
         """Return how many runs train side by side on each device, where another number would change bits that are
         promised: those of networks, on a CPU. None where memory and speed decide."""
         fixed = jax.default_backend() == "cpu" and group.learners.program != "tabular"
-        return min(self.chunk, len(group.runs)) if fixed else None
+        return min(self.chunk, len(group.first_runs)) if fixed else None
 
     def resolved(self) -> dict[str, Any]:
         """The config as plain values with defaults and `chunk` written out, as `config.yaml` of a run folder has it."""
@@ -137,9 +180,10 @@ class Plan:
     def labels(self) -> Labels:
         """The columns that name the rows of a run folder's tables."""
         record, sizes = self.config.record, [learner.update_steps for learner in self.learners]
-        places = np.arange(1, record + 1) * self.budget // record
-        places[-1] = min(-(-self.budget // size) * size for size in sizes)  # the last update may end beyond the budget
-        return Labels(self.table(), self.unit, places)
+        budgets = np.array([rung.budget for rung in self.rungs])
+        places = np.arange(1, record + 1) * budgets[:, None] // record
+        ends = np.min([-(-budgets // size) * size for size in sizes], axis=0)  # the last update may end beyond a budget
+        return Labels(self.table(), self.unit, np.concatenate([places[:, :-1], ends[:, None]], axis=1))
 
     def table(self) -> dict[str, list[Any]]:
         """The hyper-parameters as columns: every scalar of task and learner by dotted name, an entry per point."""

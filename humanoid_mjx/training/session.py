@@ -11,7 +11,8 @@ import numpy as np
 from humanoid_mjx import compute
 from humanoid_mjx.runs.archive import check_finite
 from humanoid_mjx.runs.folder import REMOVE, RunFolder, diverged_name, pool_name, pools, read_arrays, read_provenance
-from humanoid_mjx.runs.tables import finished_runs, scores, write_tables
+from humanoid_mjx.runs.ranking import ranked
+from humanoid_mjx.runs.tables import all_runs, run_numbers, scores, write_tables
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.chunks import Arrays, Ended, Engine, Event, Finished, Growth, Note, State, UnderWay, chunks
 from humanoid_mjx.training.events import Curves
@@ -46,17 +47,21 @@ class Session:
         self.chosen = [chunk for chunk in chunks(plan) if numbers is None or chunk.number in numbers]
         self.folder, self.plan, self.reporter, self.watchers = folder, plan, reporter, watchers
         self.watched = max((watcher.points for watcher in watchers), key=len, default=None)
+        if self.watched is not None:  # at the last rung
+            self.watched = self.watched + (len(plan.rungs) - 1) * len(plan.points)
         for part in folder.parts():
             # Check policies now: a damaged one can still be trained again by this sweep.
             arrays = read_arrays(part, digest=folder.digest)
             if not np.any(arrays.get("final.diverged")):
                 policies = {name: array for name, array in arrays.items() if name.startswith("policy")}
                 check_finite(policies, f"{part}: it", REMOVE)
-        done = finished_runs(folder.path, ("point", "seed"), folder.digest)
-        self.finished = set((done["point"] * plan.config.seeds + done["seed"]).tolist()) if done else set()
-        if self.finished and not 0 <= min(self.finished) <= max(self.finished) < plan.num_runs:
+        most = len(plan.rungs) * len(plan.points) * plan.config.seeds
+        done = all_runs(folder.path, ("point", "seed"), folder.digest)
+        self.finished = set(run_numbers(done, len(plan.points), plan.config.seeds).tolist())
+        if self.finished and not 0 <= min(self.finished) <= max(self.finished) < most:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
-        waiting = {run for chunk in self.chosen for run in chunk.runs} - self.finished
+        mine = range(most) if numbers is None else (run for chunk in self.chosen for run in chunk.runs)
+        waiting = set(mine) - self.finished
         self.interrupted: list[tuple[str, Arrays]] = []
         """The runs that an earlier session, perhaps of another engine, had under way, by their file."""
         for path in pools(folder.path):
@@ -78,10 +83,11 @@ class Session:
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
         self.made_by = compute.made_by()
         self.compile_s = 0.0
-        self.scores = np.zeros((len(plan.points), 3))
+        self.scores = np.zeros((most // plan.config.seeds, 3))
         """Of each point the number of runs that this session has finished, and the sums of their success and return."""
         self.best: tuple[float, float] | None = None
-        self.pace = Pace(plan.num_runs, len(plan.groups))
+        self.rung, self.before, self.pace = 0, 0, Pace(most, len(plan.groups))
+        """The present rung, the number of runs of the rungs before, and the pace of its runs."""
         self.tables_are_old = True
 
     def train(self, engine: Engine) -> None:
@@ -91,6 +97,23 @@ class Session:
           InputError: it cannot train some of it.
         """
         engine.train(self.chosen, self)
+        for _ in self.plan.rungs[1:]:
+            engine.train(chunks(self.plan, self._go_on()), self)
+
+    def _go_on(self) -> np.ndarray:
+        """Begin the next rung; its points, as in `Group.points`: the best of the rung before, which is stored."""
+        plan, every = self.plan, len(self.plan.points)
+        arrays = all_runs(self.folder.path, ("point", "seed", "curve.", "final."), self.folder.digest)
+        arrays = {name: array[arrays["rung"] == self.rung] for name, array in arrays.items()}
+        self.before += plan.rungs[self.rung].points * plan.config.seeds
+        self.rung, self.pace = self.rung + 1, Pace(len(self.scores) * plan.config.seeds, len(plan.groups))
+        rung = plan.rungs[self.rung]
+        best = ranked((), {"point": arrays["point"]} | scores(arrays), plan.config.episodes is not None)[: rung.points]
+        self.reporter.note(
+            f"rung {self.rung + 1} of {len(plan.rungs)}: the best {rung.points:,} of {every:,} points train anew, "
+            f"with {rung.budget:,} {plan.unit}s"
+        )
+        return np.sort([point.point for point in best]) + self.rung * every
 
     def end(self) -> None:
         """Leave a run folder that is complete.
@@ -142,16 +165,19 @@ class Session:
         runs, arrays = event.runs[new], {name: array[new] for name, array in event.arrays.items()}
         if not len(runs):  # of a worker that was thought lost
             return
-        points, seeds = np.divmod(runs, self.plan.config.seeds)
+        every, count = len(self.plan.points), self.plan.config.seeds
+        points, seeds = np.divmod(runs, count)
+        rung, point = np.divmod(points.astype(np.int32), every)
         for run, state in event.diverged.items():
-            self.folder.write_arrays(diverged_name(*divmod(run, self.plan.config.seeds)), state)
+            self.folder.write_arrays(diverged_name(run // count % every, run % count), state)
         ended = scores(arrays)
         rows = np.stack(
             [np.ones(len(runs)), *(ended.get(name, ended["diverged"] * np.nan) for name in SHOWN[:2])], axis=1
         )
         known = np.isfinite(rows).all(axis=1)
         np.add.at(self.scores, points[known], rows[known])
-        numbers = {"point": points.astype(np.int32), "seed": seeds.astype(np.int32)}
+        numbers = {"point": point, "seed": seeds.astype(np.int32)}
+        numbers |= {"rung": rung} if len(self.plan.rungs) > 1 else {}
         self.folder.add_part(min(runs.tolist()), numbers | arrays)
         self.finished.update(runs.tolist())
         self.tables_are_old = True
@@ -163,22 +189,24 @@ class Session:
     def _report(self) -> None:
         looks = list(self.under_way.values())
         slots, progress, recent = (np.concatenate([look[place] for look in looks]) for place in (3, 4, 5))
-        busy, finished = slots != IDLE, len(self.finished)
+        busy, finished, rung = slots != IDLE, len(self.finished) - self.before, self.plan.rungs[self.rung]
+        due = rung.points * self.plan.config.seeds
         rows = busy & np.isfinite(recent).all(axis=1)
         success, mean_return = self._best(slots[rows], np.minimum(progress[rows], 1.0), recent[rows])
         steps = float(recent[rows, 2].mean()) if rows.any() else None
-        waiting = max(self.plan.num_runs - finished - int(busy.sum()), 0)
+        waiting = max(due - finished - int(busy.sum()), 0)
         learner = self.plan.groups[looks[-1].group].learners
         length = 1.0 if self.plan.unit == "episode" else steps or 0.0
-        evaluation = learner.evaluations * learner.evaluation_envs * length / self.plan.budget
+        evaluation = learner.evaluations * learner.evaluation_envs * length / rung.budget
         phases = {look.phase for look in looks}
         phase = "training" if "training" in phases else min(phases - {*COMPILING}, default=looks[-1].phase)
         self.pace.look(time.monotonic(), Look(phase, slots, progress, waiting, finished, evaluation))
         alternates = finished and phase in ("starting", "training", "evaluating")
-        self.reporter.phase("training and evaluating" if alternates else phase)
+        phase = "training and evaluating" if alternates else phase
+        self.reporter.phase(f"rung {self.rung + 1}: {phase}" if len(self.plan.rungs) > 1 else phase)
         if progress[busy].any():
-            budget, pace = self.plan.budget, self.pace
-            total, unit = self.plan.num_runs * budget, f"{self.plan.unit}s"
+            budget, pace = rung.budget, self.pace
+            total, unit = due * budget, f"{self.plan.unit}s"
             rate = pace.recent * budget
             self.reporter.update(Shown(pace.done * budget, total, unit, rate, pace.left_s, success, mean_return, steps))
 
@@ -198,8 +226,8 @@ class Session:
             return
         start = time.monotonic()
         self.tables_are_old = False
-        finished = write_tables(self.folder, self.plan.labels())
-        if finished == self.earlier.get("runs_finished"):
+        write_tables(self.folder, self.plan.labels())
+        if (finished := len(self.finished)) == self.earlier.get("runs_finished"):
             return
         session = {
             "started": self.started,

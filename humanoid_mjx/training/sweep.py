@@ -54,7 +54,8 @@ class Run:
         return self.points()[0]
 
     def points(self) -> list[dict[str, Any]]:
-        """All points whose runs are finished, as `best` has them, the best first (`runs.ranking`)."""
+        """All points whose runs are finished, as `best` has them, the best first (`runs.ranking`); in mode halving
+        those that got furthest."""
         config, summary = self.config, self.summary
         axes = list(config.sweep.axes) if config.sweep else []
         found = []

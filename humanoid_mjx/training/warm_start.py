@@ -34,7 +34,7 @@ def earlier_policies(group: Group) -> Any:
     arrays = finished_runs(path, ("point", "seed", "policy"))
     if not arrays:
         raise InputError(f"{where}: holds no finished run.")
-    points, seeds = np.divmod(group.runs, group.seeds)
+    points, seeds = np.divmod(np.tile(group.first_runs, group.rungs), group.seeds)
     if len(np.unique(arrays["point"])) == 1:
         points = np.full_like(points, arrays["point"][0])
     if len(arrays["point"]) == 1:

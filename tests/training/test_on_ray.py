@@ -109,6 +109,14 @@ def test_workers_train_the_bits_of_this_process(cluster, tmp_path):
     assert len(list((there.path / "tensorboard").iterdir())) == 6
 
 
+def test_halving_on_workers_gives_the_bits_of_this_process(cluster, tmp_path):
+    halving = {"sweep": CONFIG["sweep"] | {"mode": "halving", "eta": 2, "rungs": 2}}
+    here = sweep(SMALL | halving, tmp_path / "here")
+    there = sweep(SMALL | halving, tmp_path / "there", engine=partial(OnRay, address=cluster), reporter=Hears(kills=1))
+    assert here.summary["rung"].tolist().count(2) == 9
+    assert_same_tables(there.path, here.path)
+
+
 def test_a_chunk_whose_worker_is_killed_goes_to_another_one(cluster, whole, tmp_path):
     heard = Hears(kills=3)
     run = sweep(UNEVEN, tmp_path / "run", engine=partial(OnRay, address=cluster), reporter=heard)

@@ -109,6 +109,9 @@ def test_what_cannot_be_submitted_leaves_no_folder(tmp_path, monkeypatch):
     }.items():
         with pytest.raises(InputError, match=f"^--slurm.*{words}"):
             submit_sweep(config, None, [], False, False, ["cluster=local", *given.split()])
+    halving = write_config(tmp_path, sweep=CONFIG["sweep"] | {"mode": "halving", "eta": 2, "rungs": 2})
+    with pytest.raises(InputError, match=r"^--slurm: in mode halving .*small\.yaml, on several machines add --ray\.$"):
+        submit_sweep(halving, None, [], False, False, ["cluster=local"])
     assert not list(tmp_path.rglob("runs/*"))
 
 
