@@ -24,6 +24,7 @@ DEPENDS: dict[str, Sequence[str]] = {
     "*posture_switch*": (*LEARNING, "tasks/posture_switch.py", "physics", "mechanics"),
     "*in_turn": (*BODIES, *TABLES),
     "relearning_legs": (*LEARNING, "tasks/leg_reach.py", "physics/chain.py", "mechanics"),
+    "halving_*": (*TABLES, "tasks/navigate.py", "runs/ranking.py", "training/session.py"),
     "relearning": (*TABLES, "tasks/navigate.py"),
     "cpu_2_cores": (*BODIES, *TABLES, "tasks/leg_reach.py"),
     "h200": (*BODIES, *TABLES, "tasks/leg_reach.py"),

@@ -344,6 +344,39 @@ def methods_car() -> str:
     return table(f"alpha | learner | {' | '.join(f'episodes {part}' for part in parts)}", rows)
 
 
+def halving() -> str:
+    """Return what halving finds of what a whole search finds, and the processor time that it takes."""
+    rows = []
+    for name in ("maze", "leg_reach", "leg_reach_early"):
+        found = record(f"halving_{name}")
+        keys, repeats = found["halving"], found["repeats"]
+        budget, unit = found["config"].get("episodes"), "episodes"
+        budget, unit = (budget, unit) if budget else (found["config"]["total_steps"], "steps")
+        size = f"{found['points']} points, {found['config']['seeds']} seeds, {budget:,} {unit}"
+        same = sum(each["best"]["random"] == each["best"]["halving"] for each in repeats)
+        good = sum(each["found"] for each in repeats)
+        ranks = sorted(each["rank_of_halving"] for each in repeats)
+        equal = sorted(each["as_good"] for each in repeats)
+        shares = sorted(each["seconds"]["halving"] / each["seconds"]["random"] for each in repeats)
+        shares = [f"{share:.0%}" for share in shares]
+        cells = f"{keys['rungs']} rungs, eta {keys['eta']}", f"{same} of {len(repeats)}", f"{good} of {len(repeats)}"
+        rows.append((f"`{found['search']}`", size, *cells, *map(_range, (ranks, equal, shares))))
+    head = "search | size | halving | the same best | the best or as good | rank of its best among all"
+    return table(f"{head} | points as good as the best | processor time", rows)
+
+
+def _range(ordered: Sequence[object]) -> str:
+    """Return the ends of sorted values in words."""
+    return f"{ordered[0]} to {ordered[-1]}" if ordered[0] != ordered[-1] else str(ordered[0])
+
+
+def _halving_minutes(eta: int, rungs: int) -> str:
+    """Return the minutes of training of 1,000 settings of `walk`, a seed each, at the recorded rate of ten runs."""
+    steps, rate = 60e6, record("h100_walk")["training"]["again"]["steps_per_s"]
+    points = sum(1000 // eta**rung * eta ** (rung + 1 - rungs) for rung in range(rungs))
+    return rounded(points * steps / rate / 60)
+
+
 def methods_proof() -> str:
     """Return how the methods of tables agree with an independent implementation."""
     rows = []
@@ -490,6 +523,7 @@ TABLES = {
         methods_grid,
         methods_car,
         methods_proof,
+        halving,
         other_robots,
         other_robots_taken,
         unmodified,
@@ -506,6 +540,8 @@ TABLES = {
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
     "c_decision": lambda: rounded(1e6 * record("c_policy")["rows"][0]["seconds"]),
     "parity_cliff": lambda: rounded(record("parity")["expected while learning on the cliff"], 1),
+    "halving_walk": lambda: _halving_minutes(3, 4),
+    "halving_walk_whole": lambda: _halving_minutes(1, 1),
     "methods_optimal": lambda: _exact("Q-learning's policy"),
     "methods_soft": lambda: _exact("the best policy"),
     "stand_seconds": lambda: rounded(record("h100_stand_8_seeds")["records"][0]["command_s"]),

@@ -118,6 +118,31 @@ def run_alone(arguments, folder):
     assert done.returncode == 0, f"{done.stdout[-2000:]}\n{done.stderr[-3000:]}"
 
 
+OPTUNA = """
+class Study:
+    told, ask = {}, lambda self: self
+    TPESampler = staticmethod(lambda constant_liar: None)
+    best_params, best_value = property(lambda self: len(self.told)), property(lambda self: min(self.told.values()))
+    def suggest_float(self, name, low, high, log=False):
+        return low + (high - low) * (0.1 + len(self.told)) / 10
+    def tell(self, trial, value):
+        self.told[len(self.told)] = value
+samplers, create_study = Study, lambda sampler: Study()
+"""
+"""A package of the name of Optuna, with what the page uses of it."""
+
+
+def test_a_search_of_the_page_asks_for_batches_and_tells_what_they_reached(tmp_path):
+    (study,) = (block.text for block in blocks(TEXTS["docs/sweeps.md"]) if block.title == "study.py")
+    for long, short in (("range(10)", "range(2)"), ("range(100)", "range(3)"), ('"episodes": 400', '"episodes": 4')):
+        assert study.count(long) == 1
+        study = study.replace(long, short)
+    (tmp_path / "study.py").write_text(study + "assert study.best_params == 6 and 0 < study.best_value <= 100\n")
+    (tmp_path / "optuna.py").write_text(OPTUNA)
+    run_alone(["study.py"], tmp_path)
+    assert pq.read_table(tmp_path / "runs/study-1/summary.parquet")["point"].to_numpy().max() == 2
+
+
 @pytest.mark.slow
 def test_the_cart_pole_of_the_page_learns_to_balance(tmp_path):
     """By the page's two files and its command; here one learning rate and two seeds."""
