@@ -35,6 +35,9 @@ def sweep(
     set_: Override = None,
     resume: Annotated[bool, Option("--resume", help="Complete an interrupted run.")] = False,
     tensorboard: Annotated[bool, Option("--tensorboard", help="Write event files into RUN/tensorboard.")] = False,
+    tracker: Annotated[
+        list[str] | None, Option(metavar="NAME", help="Also log to wandb, mlflow or your own module:Class.")
+    ] = None,
     view: Annotated[bool, Option("--view", help="Open a page that grows while it trains: RUN/report.html.")] = False,
     ray: Annotated[
         str | None,
@@ -50,14 +53,15 @@ def sweep(
         from humanoid_mjx.spec import InputError
 
         raise InputError(f"{odd[0]}: this machine does not train what --slurm hands over; leave one of them out.")
+    trackers = [*(["tensorboard"] if tensorboard else []), *(tracker or [])]
     if slurm:
         from humanoid_mjx.commands.slurm import submit_sweep
 
-        submit_sweep(config, out, set_ or [], resume, tensorboard, slurm)
+        submit_sweep(config, out, set_ or [], resume, trackers, slurm)
     else:
         from humanoid_mjx.commands.sweep import run_sweep
 
-        run_sweep(config, out, set_ or [], resume, tensorboard, view, ray)
+        run_sweep(config, out, set_ or [], resume, trackers, view, ray)
 
 
 for command in (reproduce, bench, evaluate, play, demo, report, runs, plot, export):
@@ -176,7 +180,7 @@ def main() -> None:
 
 def _end(sentence: str) -> NoReturn:
     """Print an error on one line, control characters escaped, and exit with code 2."""
-    for python, flag in (("resume=True", "--resume"), ("out=PATH", "--out")):
+    for python, flag in (("resume=True", "--resume"), ("out=PATH", "--out"), ("tracker.name:", "--tracker:")):
         sentence = sentence.replace(python, flag)
     plain = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in sentence)
     print(f"error: {plain if len(plain) <= LETTERS else plain[:LETTERS] + '...'}", file=sys.stderr)

@@ -32,6 +32,7 @@ SMALLEST, LARGEST = (float(getattr(np.finfo(np.float32), name)) for name in ("ti
 """The ends of the numbers that float32 holds in full."""
 
 SomeSpec = TypeVar("SomeSpec", bound="Spec")
+Some = TypeVar("Some")
 
 
 class InputError(ValueError):
@@ -276,7 +277,7 @@ def _import(name: str) -> ModuleType:
             raise
 
 
-def find(kind: str, registry: Mapping[str, str], base: type[SomeSpec], name: str) -> type[SomeSpec]:
+def find(kind: str, registry: Mapping[str, str], base: type[Some], name: str) -> type[Some]:
     """Return the class of the task, learner, physics, ... (`kind`) called `name`.
 
     Raises:

@@ -24,6 +24,7 @@ from humanoid_mjx.training.chunks import Chunk, Desk, chunks
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import counted
 from humanoid_mjx.training.sweep import train_chunks
+from humanoid_mjx.training.trackers import Tracking
 
 GENERIC = {"name", "timeout_min", "mem_gb", "nodes", "cpus_per_task", "gpus_per_node", "tasks_per_node"}
 """Parameters that submitit has for every kind of cluster; all others are Slurm's own, such as `partition`."""
@@ -60,14 +61,14 @@ class Tables:
     """The last job: it writes the tables of what the array has trained."""
 
     run: Path
-    tensorboard: bool
+    trackers: tuple[str, ...]
     after: tuple[int, ...]
     """Processes to wait for, where no Slurm does."""
 
     def __call__(self) -> None:
         while any(map(_runs, self.after)):
             time.sleep(0.1)
-        run_sweep(str(self.run / "config.yaml"), self.run, [], True, self.tensorboard, engine=Others)
+        run_sweep(str(self.run / "config.yaml"), self.run, [], True, self.trackers, engine=Others)
 
     checkpoint = Job.checkpoint
 
@@ -87,7 +88,7 @@ class Others:
 
 
 def submit_sweep(
-    config: str, out: Path | None, overrides: Sequence[str], resume: bool, tensorboard: bool, given: Sequence[str]
+    config: str, out: Path | None, overrides: Sequence[str], resume: bool, trackers: Sequence[str], given: Sequence[str]
 ) -> None:
     """`humanoid-mjx sweep --slurm`: make the run folder, or take one up, and submit the jobs that complete it.
 
@@ -98,6 +99,7 @@ def submit_sweep(
       InputError: submitit is missing or refuses, or the config or the place cannot be used. No new folder is left.
     """
     submitit, parameters = _submitit(), _parameters(given)
+    Tracking(trackers, console.print)  # now rather than in the last job says what is missing
     plan = make_plan(load(config, overrides))
     if len(plan.rungs) > 1:
         raise InputError(
@@ -107,7 +109,7 @@ def submit_sweep(
     place = Path(out or (latest_path if resume else fresh_path)(plan.config.name))
     folder = (RunFolder.resume if resume else RunFolder.create)(place, plan.resolved())
     try:
-        jobs, last = _submit(submitit, parameters, plan, place, tensorboard)
+        jobs, last = _submit(submitit, parameters, plan, place, trackers)
     except Exception as error:  # submitit raises half a dozen kinds
         if not resume:
             shutil.rmtree(place)
@@ -121,7 +123,7 @@ def submit_sweep(
 
 
 def _submit(
-    submitit: Any, parameters: dict[str, Any], plan: Plan, place: Path, tensorboard: bool
+    submitit: Any, parameters: dict[str, Any], plan: Plan, place: Path, trackers: Sequence[str]
 ) -> tuple[list[Any], Any]:
     """Submit the array and the job that follows it."""
     cluster, count = parameters.pop("cluster", "slurm"), parameters.pop("jobs", JOBS)
@@ -147,7 +149,7 @@ def _submit(
         more = parameters.get("slurm_additional_parameters", {})
         dependency = {"dependency": f"afterany:{jobs[0].job_id.partition('_')[0]}"}
         executor.update_parameters(slurm_additional_parameters=more | dependency)
-    return jobs, executor.submit(Tables(run, tensorboard, after))
+    return jobs, executor.submit(Tables(run, tuple(trackers), after))
 
 
 def _runs(process: int) -> bool:

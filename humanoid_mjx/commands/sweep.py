@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from humanoid_mjx.commands import console
 from humanoid_mjx.compute import kept
 from humanoid_mjx.config import load
 from humanoid_mjx.runs.folder import read_provenance
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def run_sweep(
     out: Path | None,
     overrides: Sequence[str],
     resume: bool,
-    tensorboard: bool,
+    trackers: Sequence[str],
     view: bool = False,
     ray: str | None = None,
     engine: "EngineOf | None" = None,
@@ -52,16 +53,21 @@ def run_sweep(
         engine = partial(OnRay, address=ray)
     compute.start(mjx="mjx-jax" in loaded.physics)
     from humanoid_mjx.training.sweep import sweep
+    from humanoid_mjx.training.trackers import Tracking
 
-    with kept.keeping(), Bar(console, DRAWING_S) as bar, _growing(bar) if view else nullcontext() as growing:
+    with (
+        kept.keeping(),
+        Bar(console, DRAWING_S) as bar,
+        Tracking(trackers, bar.note) as tracking,
+        _growing(bar) if view else nullcontext() as growing,
+    ):
         try:
             run = sweep(
                 loaded,
                 out,
                 resume=resume,
                 reporter=growing or bar,
-                tensorboard=tensorboard,
-                watch=growing.watch if growing else None,
+                watch=[*tracking.watch, *([growing.watch] if growing else [])],
                 engine=engine,
             )
         except KeyboardInterrupt:
@@ -74,6 +80,13 @@ def run_sweep(
 
         summary, quickest = run.summary, run.config.episodes is not None
         learning, paths = draw_run(run, summary)
+        if trackers:
+            from humanoid_mjx.evaluation.policy import best_policy, save_policy
+
+            tracking.files, policy = list(paths), run.path / "policy.npz"
+            with suppress(InputError):  # there is none where all runs stopped at numbers that were not finite
+                save_policy(best_policy(run.path), policy)
+                tracking.files.append(policy)
     axes, points = list(learning.axes), ranked(list(learning.axes), summary, quickest)
     print_summary(axes, summary, points, learning.compared, read_provenance(run.path), quickest)
     for words in filter(None, (rungs_in_words(summary), why_stopped(run.path, summary))):
@@ -86,8 +99,8 @@ def run_sweep(
         console.print(f"{growing.file}", soft_wrap=True)
     else:
         console.print(f"next: humanoid-mjx report {shlex.quote(str(run.path))}", soft_wrap=True)
-    if tensorboard:
-        console.print(f"tensorboard --logdir {run.path / 'tensorboard'}", soft_wrap=True)
+    for line in tracking.lines:
+        console.print(line, soft_wrap=True)
 
 
 def _growing(bar: Bar) -> "Growing":

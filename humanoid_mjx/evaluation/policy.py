@@ -25,7 +25,7 @@ from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import WHOLE, finished_runs, scores
 from humanoid_mjx.spec import InputError, check_folder, known, sentence
-from humanoid_mjx.training.plan import MAX_RUNS, make_plan, points_of, resolved, set_dotted
+from humanoid_mjx.training.plan import MAX_RUNS, at_point, make_plan, points_of, resolved
 from humanoid_mjx.training.state import from_arrays, to_arrays
 
 FORMAT = "humanoid_mjx policy, version 1"
@@ -155,10 +155,7 @@ def policies_of_best(path: Path, point: int | None = None, most: int | None = No
         order, values = np.lexsort((cost, -arrays["final.greedy_success"])), points[point]
     except LookupError as error:
         raise InputError(f"{path / 'checkpoint'}: what it holds does not fit the config beside it.") from error
-    own: dict[str, Any] = {key: value for key, value in data.items() if key != "sweep"} | {"seeds": 1}
-    for key, value in values.items():
-        set_dotted(own, key, value)
-    alone = parse(own, config.source)
+    alone = parse(at_point(data, values) | {"seeds": 1}, config.source)
     provenance, (group,) = read_provenance(path), make_plan(alone).groups
     found, like = [], group.policy
     for row in order[arrays["point"][order] == point][:most].tolist():

@@ -21,7 +21,7 @@ from humanoid_mjx.report.web import image, page, section, table, text
 from humanoid_mjx.runs.curves import of_rows, swept
 from humanoid_mjx.runs.folder import RunFolder
 from humanoid_mjx.runs.ranking import BEST_POINTS, short
-from humanoid_mjx.training.events import Curves
+from humanoid_mjx.training.curves import Curves
 from humanoid_mjx.training.pace import time_in_words
 from humanoid_mjx.training.plan import Plan
 from humanoid_mjx.training.progress import Reporter, State

@@ -7,6 +7,7 @@
     timing.parquet      seconds since training began, per sweep point, seed and record step
     figures/            learning curves and heat maps
     tensorboard/        where asked for: event files, a folder for each sweep point
+    policy.npz          the best policy, where trackers follow the sweep
     checkpoint/         part-00000.npz ...: finished runs (curves, scores, policies), by the first of them;
                         pool-0-63.npz ...: those under way, by their chunks; diverged-POINT-SEED.npz: where runs
                         stopped whose numbers were no longer finite

@@ -282,6 +282,14 @@ def set_dotted(parts: dict[str, Any], key: str, value: Any) -> None:
     parts[last] = value
 
 
+def at_point(config: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """A config as plain values, at the point of its sweep with these values by dotted key."""
+    alone = {key: value for key, value in config.items() if key != "sweep"}
+    for key, value in values.items():
+        set_dotted(alone, key, value)
+    return alone
+
+
 def resolved(config: Config) -> dict[str, Any]:
     """The config as plain values with defaults written out.
 

@@ -15,7 +15,7 @@ from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import all_runs, run_numbers, scores, write_tables
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.chunks import Arrays, Ended, Engine, Event, Finished, Growth, Note, State, UnderWay, chunks
-from humanoid_mjx.training.events import Curves
+from humanoid_mjx.training.curves import Curves
 from humanoid_mjx.training.pace import COMPILING, Look, Pace
 from humanoid_mjx.training.plan import Plan
 from humanoid_mjx.training.pool import IDLE

@@ -14,12 +14,13 @@ from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path, read_co
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.chunks import Engine, EngineOf, Here
+from humanoid_mjx.training.chunks import EngineOf, Here
 from humanoid_mjx.training.cost import check_disk
-from humanoid_mjx.training.events import Curves, EventFiles, event_writer
+from humanoid_mjx.training.curves import Curves
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import Reporter, reporting
 from humanoid_mjx.training.session import Session
+from humanoid_mjx.training.trackers import Tracker, Tracking
 
 
 @dataclass(frozen=True)
@@ -107,8 +108,8 @@ def sweep(
     pool_size: int | None = None,
     reporter: Reporter | None = None,
     quiet: bool = False,
-    tensorboard: bool = False,
-    watch: Callable[[RunFolder, Plan], Curves] | None = None,
+    trackers: Sequence[str | Tracker] = (),
+    watch: Sequence[Callable[[RunFolder, Plan], Curves]] = (),
     engine: EngineOf | None = None,
 ) -> Run:
     """Train every point of a sweep with every seed.
@@ -123,8 +124,8 @@ def sweep(
         share train one at a time.
       reporter: called with the progress; by default it is shown in a terminal or a notebook.
       quiet: show nothing.
-      tensorboard: write learning curves as event files of TensorBoard into the run folder while it trains.
-      watch: makes an object that is given the learning curves while they grow.
+      trackers: what follows it, such as "tensorboard", "wandb", "mlflow", "my.module:Class" or a `Tracker`.
+      watch: makers of objects that are given the learning curves while they grow.
       engine: makes what trains, such as `training.on_ray.OnRay`; by default this process does, on all its devices.
 
     Raises:
@@ -137,34 +138,21 @@ def sweep(
     elif isinstance(config, Mapping):
         config = parse(dict(config))
     plan = make_plan(config)
-    if tensorboard:
-        event_writer()
-    with closing(engine(plan) if engine else Here(plan, pool_size)) as trainer:
+    with (
+        closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,
+        nullcontext(reporter or Reporter()) if reporter or quiet else reporting() as speaker,
+        Tracking(trackers, speaker.note) as tracking,
+    ):
         place = Path(out or (latest_path if resume else fresh_path)(config.name))
         check_disk(place, plan, trainer.at_once)
         with closing(_open(place, plan, resume, given=out is not None)) as folder:
-            _train(folder, plan, trainer, reporter or (Reporter() if quiet else None), tensorboard, watch)
+            session = Session(folder, plan, speaker, [make(folder, plan) for make in (*watch, *tracking.watch)])
+            try:
+                session.train(trainer)
+                session.end()
+            finally:
+                session.write_results()
     return Run(folder.path)
-
-
-def _train(
-    folder: RunFolder,
-    plan: Plan,
-    engine: Engine,
-    reporter: Reporter | None,
-    tensorboard: bool,
-    watch: Callable[[RunFolder, Plan], Curves] | None,
-) -> None:
-    watchers = [make(folder, plan) for make in (EventFiles if tensorboard else None, watch) if make]
-    with nullcontext(reporter) if reporter else reporting() as speaker:
-        session = Session(folder, plan, speaker, watchers)
-        try:
-            session.train(engine)
-            session.end()
-        finally:
-            session.write_results()
-            for watcher in watchers:
-                watcher.close()
 
 
 def train_chunks(run: Path, numbers: Sequence[int]) -> None:

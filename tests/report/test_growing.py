@@ -14,7 +14,7 @@ from humanoid_mjx.report import growing
 from humanoid_mjx.report.growing import Growing, best_so_far, results_so_far
 from humanoid_mjx.runs.folder import RunFolder
 from humanoid_mjx.training import chunks, pool
-from humanoid_mjx.training.events import Curves
+from humanoid_mjx.training.curves import Curves
 from humanoid_mjx.training.plan import make_plan, resolved
 from humanoid_mjx.training.progress import Reporter, State
 
@@ -43,7 +43,7 @@ def test_the_page_grows_and_ends_as_the_report(tmp_path, monkeypatch):
         return found
 
     with growing:
-        run = sweep(SMALL, tmp_path / "run", reporter=growing, watch=watched)
+        run = sweep(SMALL, tmp_path / "run", reporter=growing, watch=[watched])
     first, grown, last = *pages, growing.file.read_text()
     assert "starting" in first and 'content="5"' in first and "<table>" not in first
     assert "Best so far" in grown and "learner.epsilon" in grown and "data:image/svg" in grown

@@ -102,7 +102,9 @@ def whole(tmp_path_factory):
 def test_workers_train_the_bits_of_this_process(cluster, tmp_path):
     heard = Hears()
     here = sweep(SMALL, tmp_path / "here")
-    there = sweep(SMALL, tmp_path / "there", engine=partial(OnRay, address=cluster), reporter=heard, tensorboard=True)
+    there = sweep(
+        SMALL, tmp_path / "there", engine=partial(OnRay, address=cluster), reporter=heard, trackers=["tensorboard"]
+    )
     assert_same_tables(there.path, here.path)
     assert heard.notes[0] == "5 chunks of up to 4 runs for 2 workers with a CPU each"
     assert len(json.loads((there.path / "provenance.json").read_text())["machines"]) == 1

@@ -108,15 +108,17 @@ def test_what_cannot_be_submitted_leaves_no_folder(tmp_path, monkeypatch):
         "jobs=0": "jobs must be a whole number of at least 1, got 0",
     }.items():
         with pytest.raises(InputError, match=f"^--slurm.*{words}"):
-            submit_sweep(config, None, [], False, False, ["cluster=local", *given.split()])
+            submit_sweep(config, None, [], False, [], ["cluster=local", *given.split()])
     halving = write_config(tmp_path, sweep=CONFIG["sweep"] | {"mode": "halving", "eta": 2, "rungs": 2})
     with pytest.raises(InputError, match=r"^--slurm: in mode halving .*small\.yaml, on several machines add --ray\.$"):
-        submit_sweep(halving, None, [], False, False, ["cluster=local"])
+        submit_sweep(halving, None, [], False, [], ["cluster=local"])
+    with pytest.raises(InputError, match="unknown tracker 'wand'"):
+        submit_sweep(config, None, [], False, ["wand"], ["cluster=local"])
     assert not list(tmp_path.rglob("runs/*"))
 
 
 def test_a_missing_submitit_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "submitit", None)
     with pytest.raises(InputError, match=r"needs the package submitit; pip install 'humanoid-mjx\[slurm\]'"):
-        submit_sweep(write_config(tmp_path, **CONFIG), tmp_path / "run", [], False, False, ["nodes=2"])
+        submit_sweep(write_config(tmp_path, **CONFIG), tmp_path / "run", [], False, [], ["nodes=2"])
     assert not (tmp_path / "run").exists()
