@@ -14,6 +14,7 @@ from stepping import step_continuous as step
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import counting_compiles, rng
+from humanoid_mjx.config import config_digest, load, parse
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.tasks.check import check_task
@@ -24,6 +25,7 @@ from humanoid_mjx.tasks.legged.gait import Clock
 from humanoid_mjx.tasks.legged.observations import OBSERVATIONS, Observed, swapped
 from humanoid_mjx.tasks.legged.view import unknown_feet
 from humanoid_mjx.thesis.leg import GRAVITY
+from humanoid_mjx.training.plan import make_plan, resolved
 
 BODY, JOINTS = LowerBody(ranges="human"), 10
 KEYS = jax.random.split(rng.key(2), 8)
@@ -340,12 +342,12 @@ def test_rewards_have_the_values_of_their_formulas():
         offsets=jnp.array([0.5] * 5 + [0.0] * 5),
     )
     view = task.view(data, None, jnp.array([0.5] * 4 + [0.0] * 6))._replace(feet=feet, torque=jnp.full(JOINTS, 0.5))
-    near, middle, far = (scale * BODY.pace**2 for scale in rewards.SPEED_SCALES)
+    near, middle, far = (scale * BODY.pace**2 for scale in (0.00245, 0.0195, 0.147))
     speed = np.mean(np.exp([-0.0025 / near, -0.0025 / middle, -0.01 / far]))
     turn = np.mean(np.exp([-0.01 / 0.03, -0.01 / 0.2, -0.04 / 1.0]))
     expected = {
         "upright": np.exp(-0.25),
-        "still": np.exp(-0.02 / (rewards.STILL * BODY.pace) ** 2),
+        "still": np.exp(-0.02 / (0.14 * BODY.pace) ** 2),
         "calm": 1 - 0.125,
         "speed": speed,
         "turn": turn,
@@ -358,8 +360,61 @@ def test_rewards_have_the_values_of_their_formulas():
     for name, value in expected.items():
         assert float(getattr(rewards, name)(view)) == pytest.approx(value, rel=0.02), name
     assert rewards.tilted_feet(view._replace(feet=feet._replace(corner_force=jnp.zeros((2, 4))))) == 0.0
+    changed = {"upright": 20.0, "still": 0.28, "speed_near": 0.01, "turn_far": 4.0}
+    shapes, near = rewards.Shapes(**changed), 0.01 * BODY.pace**2
+    for name, value in {
+        "upright": np.exp(-0.25 / 4),
+        "still": np.exp(-0.02 / (0.28 * BODY.pace) ** 2),
+        "speed": np.mean(np.exp([-0.0025 / near, -0.0025 / middle, -0.01 / far])),
+        "turn": np.mean(np.exp([-0.01 / 0.03, -0.01 / 0.2, -0.04 / 4.0])),
+    }.items():
+        assert float(getattr(rewards, name)(view, shapes)) == pytest.approx(value, rel=0.02), name
     # A learner's numbers stay: shipped policies read half a metre a second, or a radian, as 1.
     np.testing.assert_allclose(Observed(("command", "turn_rate"), BODY)(view), [0.6, 0.0, 0.5, 0.7 / 3], rtol=1e-6)
+
+
+def test_shapes_of_rewards_are_an_axis_and_usual_ones_leave_the_config_as_it_was():
+    axes = {"task.rewards.shapes.upright": [5.0, 10.0]}
+    plan = make_plan(load("walk", [f"sweep.axes={axes}"]))
+    assert len(plan.groups) == 2 and plan.table()["task.rewards.shapes.upright"] == [5.0, 10.0]
+    assert [group.learner().task.rewards.shapes.upright for group in plan.groups] == [5.0, 10.0]
+    usual, other = (load("walk", [f"task.rewards.shapes.upright={value}"]) for value in (10.0, 20.0))
+    assert config_digest(resolved(usual)) == config_digest(resolved(load("walk"))) != config_digest(resolved(other))
+    assert make_plan(parse(resolved(other))).learners[0].task.rewards.shapes.upright == 20.0
+
+
+def test_each_shape_changes_its_own_term_in_every_reward_that_has_it():
+    task = walk(**EXACT)
+    state = jax.tree.map(lambda x: x[0], reset(arrays(task), KEYS))
+    data = state.data._replace(clock=Clock(jnp.float32(0.2)), command=jnp.array([0.3, 0.0, 0.5]))
+    data = data._replace(tracking_error=jnp.array([0.03, -0.04, 0.1]), heading_error=jnp.float32(0.0))
+    data = data._replace(world=data.world._replace(qvel=data.world.qvel.at[:3].set(0.1)))
+    tilt = jnp.asarray(Rotation.from_rotvec([0.0, 0.1, 0.0]).as_matrix(), jnp.float32)
+    feet = unknown_feet(BODY)._replace(
+        position=jnp.array([[0.0, -0.02, 0.025], [0.0, 0.02, 0.025]]), rotation=jnp.stack([tilt, tilt])
+    )
+    on_left = jnp.array([[0.0] * 4, [4.0] * 4])
+    feet = feet._replace(corner_force=on_left, corner_velocity=jnp.full((2, 4, 3), 0.05))
+    view = task.view(data, None, jnp.zeros(JOINTS))._replace(feet=feet, torque=jnp.zeros(JOINTS))
+    terms = {
+        "flight": "loaded",
+        "schedule": "loaded",
+        "flat": "loaded",
+        "slip": "slip",
+        "still": "still",
+        "clearance": "swing_height clearance",
+        "crossing": "apart crossing",
+        "upright": "upright",
+        "speed": "speed_near speed_middle speed_far",
+        "turn": "turn_near turn_middle turn_far",
+    }
+    for reward in (rewards.WalkRewards(), StandRewards()):
+        usual = reward.terms(view)
+        for shape in rewards.Shapes.model_fields:
+            value = getattr(reward.shapes, shape) * (1000.0 if shape == "loaded" else 1.5)
+            changed = reward.replace(shapes=reward.shapes.replace(**{shape: value})).terms(view)
+            differ = {name for name in usual if not np.isclose(changed[name], usual[name], rtol=1e-4)}
+            assert differ == {name for name in usual if shape in terms.get(name, "").split()}, shape
 
 
 def test_the_heading_is_kept_while_the_turn_rate_stays_the_same():

@@ -23,7 +23,7 @@ from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.segments import nearest_shares
 from humanoid_mjx.physics.base import Poses, Sensed
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.tasks.legged.rewards import APART, LOADED
+from humanoid_mjx.tasks.legged.rewards import SHAPES
 from humanoid_mjx.tasks.legged.view import feet_of
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
@@ -214,7 +214,7 @@ def _counted(
 ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     """The parts of a sample in the sums, and in those of a window."""
     last, motion = tally.last, _motion(tally.last, sample)
-    loaded = sample.load > robot.force(LOADED)
+    loaded = sample.load > robot.force(SHAPES.loaded)
     landed = loaded & (tally.air >= math.ceil(AIRBORNE / interval - 1e-6))
     right, left = robot.foot_pairs.T
     ahead = jnp.zeros(loaded.shape).at[right].set(-sample.gap[:, 0]).at[left].set(sample.gap[:, 0])
@@ -223,7 +223,7 @@ def _counted(
         "motion": motion,  # way forward and to the left, m, and turn to the left, rad
         "loaded": loaded,  # whether each foot carries weight
         "flight": ~loaded.any(),
-        "crossing": (sample.gap[:, 1] < robot.length(APART)).any(),
+        "crossing": (sample.gap[:, 1] < robot.length(SHAPES.apart)).any(),
         "leg_contact": sample.legs_apart <= 0,
         "slip": jnp.sum(sample.speed * sample.touching),  # of the corners that touch, m/s
         "touching": sample.touching.sum(),

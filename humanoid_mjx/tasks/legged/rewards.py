@@ -1,45 +1,64 @@
 """Terms of rewards, plain functions of a view, and the Specs that give them weights.
 
-A weight is a traced field with the name of its term: `task.rewards.slip` can be swept. To add a term, derive from a
-Spec below, declare a field for the weight and add an entry to `terms`.
+A weight is a traced field with the name of its term: `task.rewards.slip` can be swept, and so can the numbers that
+shape the terms, such as `task.rewards.shapes.upright`. To add a term, derive from a Spec below, declare a field for the
+weight and add an entry to `terms`.
 """
+
+from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from pydantic import Field, model_serializer
 
 from humanoid_mjx.mechanics.rotations import heading_frame
 from humanoid_mjx.spec import InputError, Spec, traced
 from humanoid_mjx.tasks.legged.view import View
 from humanoid_mjx.types import FloatScalar
 
-UPRIGHT, STILL = np.radians(10.0), 0.14
-"""Lean, rad, and speed, as a share of the robot's pace, at which a reward has dropped to 1 / e."""
 
-SPEED_SCALES = 0.00245, 0.0195, 0.147
-"""Squared errors at which the three parts of `speed` have dropped to 1 / e, as shares of the squared pace. With the
-narrow parts alone a body learns to stay on the spot, where they have no gradient; with the wide part alone it follows
-the command loosely. The narrow parts take the mean error, since within a step the body sways by more."""
+def shape(default: float, description: str) -> Any:
+    """Declare a number of `Shapes`."""
+    return Field(default, gt=0, description=description)
 
-TURN_SCALES = 0.03, 0.2, 1.0
-"""Squared errors at which the three parts of `turn` have dropped to 1 / e, (rad/s)^2."""
 
-LOADED = 0.048
-"""Force on a foot that stands, as a share of the weight."""
+class Shapes(Spec):
+    """Shapes of the terms. They are constants of the compiled program: each combination of a sweep compiles once.
 
-CLEARANCE, CLOSE = 0.144, 0.058
-"""Height of a foot in mid-swing, and the error at which `clearance` has dropped to 1 / e, as shares of the legs'
-length."""
+    The narrow parts of `speed` and `turn` take the mean error, since within a step the body sways by more. With them
+    alone a body learns to stay on the spot, where they have no gradient; with the wide part alone it follows the
+    command loosely.
+    """
 
-APART, TOO_NEAR = 0.24, 0.096
-"""Lateral distance between the feet below which they are too near, and the shortfall at which `crossing` is 1, as
-shares of the legs' length."""
+    upright: float = shape(10.0, "lean, degrees, at which `upright` is 1 / e")
+    still: float = shape(0.14, "speed at which `still` is 1 / e, as a share of the robot's pace")
+    speed_near: float = shape(0.00245, "squared error at which a part of `speed` is 1 / e, over the squared pace")
+    speed_middle: float = shape(0.0195, "the same of the second part")
+    speed_far: float = shape(0.147, "the same of the widest part")
+    turn_near: float = shape(0.03, "squared error at which a part of `turn` is 1 / e, (rad/s)^2")
+    turn_middle: float = shape(0.2, "the same of the second part")
+    turn_far: float = shape(1.0, "the same of the widest part")
+    loaded: float = shape(0.048, "force on a foot that stands, as a share of the weight")
+    swing_height: float = shape(0.144, "height of a foot in mid-swing, as a share of the legs' length")
+    clearance: float = shape(0.058, "error at which `clearance` is 1 / e, as a share of the legs' length")
+    apart: float = shape(0.24, "lateral distance of feet that are not too near, as a share of the legs' length")
+    crossing: float = shape(0.096, "shortfall at which `crossing` is 1, as a share of the legs' length")
+    slip: float = shape(0.049, "squared speed of a foot at which `slip` is 1, over the squared pace")
 
-SLIPS = 0.049
-"""Square of the speed of a foot that slips badly, as a share of the squared pace."""
+
+SHAPES = Shapes()
 
 
 class Rewards(Spec):
     """Base of rewards: declare a weight for each term, and give the terms by name."""
+
+    shapes: Shapes = Field(default=SHAPES, description="numbers that shape the terms")
+
+    @model_serializer(mode="wrap")
+    def _with_shapes_of_its_own(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """Leave usual shapes out, so that configs of before have the digest of before."""
+        return {key: value for key, value in write(self).items() if key != "shapes" or self.shapes != SHAPES}
 
     def terms(self, view: View) -> dict[str, FloatScalar]:
         """The terms without their weights."""
@@ -69,7 +88,12 @@ class StandRewards(Rewards):
     calm: float = traced(0.1, description="for set-points near the posture")
 
     def terms(self, view: View) -> dict[str, FloatScalar]:
-        return {"alive": 1.0, "upright": upright(view), "still": still(view), "calm": calm(view)}
+        return {
+            "alive": 1.0,
+            "upright": upright(view, self.shapes),
+            "still": still(view, self.shapes),
+            "calm": calm(view),
+        }
 
 
 class WalkRewards(Rewards):
@@ -93,29 +117,29 @@ class WalkRewards(Rewards):
 
     def terms(self, view: View) -> dict[str, FloatScalar]:
         return {
-            "speed": speed(view),
-            "turn": turn(view),
-            "upright": upright(view),
-            "schedule": schedule(view),
-            "clearance": clearance(view),
-            "flight": flight(view),
-            "slip": slip(view),
-            "flat": tilted_feet(view),
-            "crossing": crossing(view),
+            "speed": speed(view, self.shapes),
+            "turn": turn(view, self.shapes),
+            "upright": upright(view, self.shapes),
+            "schedule": schedule(view, self.shapes),
+            "clearance": clearance(view, self.shapes),
+            "flight": flight(view, self.shapes),
+            "slip": slip(view, self.shapes),
+            "flat": tilted_feet(view, self.shapes),
+            "crossing": crossing(view, self.shapes),
             "yawing": yawing(view),
             "smooth": jumps(view),
             "effort": effort(view),
         }
 
 
-def upright(view: View) -> FloatScalar:
-    """1 for an upright torso, 1 / e at a lean of 10 degrees."""
-    return jnp.exp(-((view.lean / UPRIGHT) ** 2))
+def upright(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
+    """1 for an upright torso."""
+    return jnp.exp(-((view.lean / np.radians(shapes.upright)) ** 2))
 
 
-def still(view: View) -> FloatScalar:
-    """1 for hips that do not move, 1 / e at `STILL`."""
-    return jnp.exp(-jnp.sum(view.episode.world.qvel[:3] ** 2) / view.robot.speed(STILL) ** 2)
+def still(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
+    """1 for hips that do not move."""
+    return jnp.exp(-jnp.sum(view.episode.world.qvel[:3] ** 2) / view.robot.speed(shapes.still) ** 2)
 
 
 def calm(view: View) -> FloatScalar:
@@ -123,63 +147,66 @@ def calm(view: View) -> FloatScalar:
     return 1.0 - jnp.mean(view.episode.offsets**2)
 
 
-def speed(view: View) -> FloatScalar:
+def speed(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     """1 at the commanded velocity, forward and sideways; the widest of three scales takes the last decision alone."""
     late, now = jnp.sum(view.episode.tracking_error[:2] ** 2), jnp.sum((view.velocity[:2] - view.command[:2]) ** 2)
-    near, middle, far = map(view.robot.square, SPEED_SCALES)
+    scales = shapes.speed_near, shapes.speed_middle, shapes.speed_far
+    near, middle, far = map(view.robot.square, scales)
     return (jnp.exp(-late / near) + jnp.exp(-late / middle) + jnp.exp(-now / far)) / 3
 
 
-def turn(view: View) -> FloatScalar:
+def turn(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     """1 at the commanded turn rate; the widest of three scales takes the last decision alone."""
     late, now = view.episode.tracking_error[2] ** 2, (view.turn_rate - view.command[2]) ** 2
-    near, middle, far = TURN_SCALES
+    near, middle, far = shapes.turn_near, shapes.turn_middle, shapes.turn_far
     return (jnp.exp(-late / near) + jnp.exp(-late / middle) + jnp.exp(-now / far)) / 3
 
 
-def schedule(view: View) -> FloatScalar:
+def schedule(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     """The share of feet that are in the air where they should swing, and carry weight where they should stand."""
-    loaded = view.feet.load > view.robot.force(LOADED)
+    loaded = view.feet.load > view.robot.force(shapes.loaded)
     return jnp.mean(jnp.where(view.swing > 0.2, ~loaded, loaded))
 
 
-def clearance(view: View) -> FloatScalar:
+def clearance(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     """1 where all feet are as high as the clock says."""
-    highest, close = view.robot.length(CLEARANCE), view.robot.length(CLOSE)
+    highest, close = view.robot.length(shapes.swing_height), view.robot.length(shapes.clearance)
     return jnp.exp(-jnp.sum(((view.feet.height - highest * view.swing) / close) ** 2))
 
 
-def flight(view: View) -> FloatScalar:
+def flight(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     """1 without a foot on the ground."""
-    return (view.feet.load <= view.robot.force(LOADED)).all() * 1.0
+    return (view.feet.load <= view.robot.force(shapes.loaded)).all() * 1.0
 
 
-def slip(view: View) -> FloatScalar:
+def slip(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     """The sum of the squared speeds along the ground of the corners in contact, divided by the corners per foot and by
-    `SLIPS`; at most 1.
+    `shapes.slip`; at most 1.
 
     Corners count, since the middle of a foot that rolls over its edge moves without slipping.
     """
     squares = jnp.sum(view.feet.corner_velocity[..., :2] ** 2, axis=-1)
-    return jnp.minimum(jnp.sum(squares * view.feet.touching) / (view.robot.points * view.robot.square(SLIPS)), 1.0)
+    return jnp.minimum(
+        jnp.sum(squares * view.feet.touching) / (view.robot.points * view.robot.square(shapes.slip)), 1.0
+    )
 
 
-def tilted_feet(view: View) -> FloatScalar:
+def tilted_feet(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     """Five times the squared sines of the tilts of loaded feet, summed; at most 1; 0 for feet of one or two points."""
     if view.robot.points < 3:
         return jnp.float32(0.0)
-    loaded = view.feet.load > view.robot.force(LOADED)
+    loaded = view.feet.load > view.robot.force(shapes.loaded)
     return jnp.minimum(5 * jnp.sum(loaded * (1 - view.feet.rotation[:, 2, 2] ** 2)), 1.0)
 
 
-def crossing(view: View) -> FloatScalar:
-    """The squared shortfall of the lateral distance between the feet, in units of `TOO_NEAR`; at most 2."""
+def crossing(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
+    """The squared shortfall of the lateral distance between the feet, in units of `shapes.crossing`; at most 2."""
     right, left = view.robot.foot_pairs.T
     if not len(right):
         return jnp.float32(0.0)
     gap = ((view.feet.position[left] - view.feet.position[right]) @ heading_frame(view.rotation)[1]).min()
-    lack = jnp.maximum(view.robot.length(APART) - gap, 0.0)
-    return jnp.minimum((lack / view.robot.length(TOO_NEAR)) ** 2, 2.0)
+    lack = jnp.maximum(view.robot.length(shapes.apart) - gap, 0.0)
+    return jnp.minimum((lack / view.robot.length(shapes.crossing)) ** 2, 2.0)
 
 
 def yawing(view: View) -> FloatScalar:
