@@ -30,7 +30,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.config import load
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
 from humanoid_mjx.evaluation.gait.tally import heading_of
-from humanoid_mjx.evaluation.policy import Trained, in_changed_world
+from humanoid_mjx.evaluation.policy import StoredPolicy, in_changed_world
 from humanoid_mjx.mechanics.rotations import rotation_matrix
 from humanoid_mjx.robot import Robot, make_robot
 from humanoid_mjx.robot.lower_body import HOME, JOINTS, LowerBody
@@ -120,7 +120,7 @@ class PushedFrom(Walk):
         return size * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.float32(0.0)])
 
 
-def pushed_from(policy: Trained, bearing: float, impulse: float) -> Trained:
+def pushed_from(policy: StoredPolicy, bearing: float, impulse: float) -> StoredPolicy:
     """The policy in a world of pushes of this size, N s, every 3 s, this way from straight ahead, degrees."""
     push = f"task.push.impulse={impulse / MOMENTUM:.5f}"
     plain = settings_of([push, *(f"task.{key}={value}" for key, value in PLAIN.items())])
@@ -129,7 +129,7 @@ def pushed_from(policy: Trained, bearing: float, impulse: float) -> Trained:
     return there._replace(learner=there.learner.replace(task=task))
 
 
-def train(place: Path, config: str, overrides: Sequence[str]) -> list[Trained]:
+def train(place: Path, config: str, overrides: Sequence[str]) -> list[StoredPolicy]:
     """Policies of a training, one for each seed; one that is under way or finished in this run folder goes on."""
     humanoid_mjx.sweep(load(config, overrides), place, resume=place.exists())
     return trained_seeds([str(place)])

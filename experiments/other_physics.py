@@ -17,7 +17,7 @@ from typing import Any
 from humanoid_mjx import compute
 from humanoid_mjx.config import load
 from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS, evaluate_all
-from humanoid_mjx.evaluation.policy import Trained, best_policy, find_policy, in_world
+from humanoid_mjx.evaluation.policy import StoredPolicy, best_policy, find_policy, in_world
 from humanoid_mjx.files import names
 from humanoid_mjx.training.sweep import sweep
 
@@ -30,7 +30,7 @@ OFFERED = {
 """The physics of each task whose policy is tried."""
 
 
-def policy_for(task: str) -> Trained:
+def policy_for(task: str) -> StoredPolicy:
     """The policy that ships, or else the one that the config of this name trains."""
     if task in names("policies", ".npz"):
         return find_policy(task)
@@ -38,7 +38,7 @@ def policy_for(task: str) -> Trained:
         return best_policy(sweep(load(task), Path(folder) / task).path)
 
 
-def on_each_physics(trained: Trained, episodes: int) -> list[dict[str, Any]]:
+def on_each_physics(trained: StoredPolicy, episodes: int) -> list[dict[str, Any]]:
     """Results of the policy, the zero and the random agent on each physics, that of the training first."""
     own, offered = trained.config.task["physics"], OFFERED[trained.config.task["name"]]
     found = []

@@ -25,7 +25,7 @@ import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.evaluation.evaluate import held_out_keys
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
-from humanoid_mjx.evaluation.policy import Trained, find_policy, in_changed_world
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_changed_world
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import greedy, rollout
 from humanoid_mjx.report.style import SEQUENTIAL, figure
@@ -89,7 +89,7 @@ def _upright(arithmetic: Any, program: Any) -> Callable[..., jax.Array]:
     return jax.jit(one, compiler_options=compute.compiler_options(arithmetic, program))
 
 
-def mapped(policies: list[Trained], of: Map, episodes: int) -> Float[np.ndarray, "down across seeds"]:
+def mapped(policies: list[StoredPolicy], of: Map, episodes: int) -> Float[np.ndarray, "down across seeds"]:
     """Shares of upright bodies."""
 
     def stacked(trees: Sequence[Any]) -> Any:
@@ -110,7 +110,7 @@ def mapped(policies: list[Trained], of: Map, episodes: int) -> Float[np.ndarray,
     return np.stack(found).mean(axis=-1)
 
 
-def there(policy: Trained, changes: Sequence[str]) -> Trained:
+def there(policy: StoredPolicy, changes: Sequence[str]) -> StoredPolicy:
     """The policy told to go ahead, if it takes commands, in a plain world but for these values of the task."""
     task: Any = policy.learner.task
     plain = PLAIN | ({"command": AHEAD} if task.command else {})

@@ -24,7 +24,7 @@ from humanoid_mjx.control.drives import Drive
 from humanoid_mjx.control.pd import Joints
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
 from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_worlds, scenarios_of, walking_task
-from humanoid_mjx.evaluation.policy import Trained, in_world
+from humanoid_mjx.evaluation.policy import StoredPolicy, in_world
 from humanoid_mjx.physics.base import Readings
 from humanoid_mjx.physics.sensors import Sensors, SensorState
 from humanoid_mjx.robot import make_robot
@@ -110,14 +110,17 @@ FIGURES = "success", "forward", "speed_error", "slip", "turn_success"
 
 
 def walked(
-    policies: list[Trained], episodes: int, names: Sequence[str] = FIGURES, scenarios: Sequence[Scenario] | None = None
+    policies: list[StoredPolicy],
+    episodes: int,
+    names: Sequence[str] = FIGURES,
+    scenarios: Sequence[Scenario] | None = None,
 ) -> dict[str, Any]:
     """Return the figures of policies that differ by their training seed, as lists of commands of lists of seeds."""
     return walked_worlds(policies, [policies[0].learner], episodes, names, scenarios)[0]
 
 
 def walked_worlds(
-    policies: list[Trained],
+    policies: list[StoredPolicy],
     learners: Sequence[Any],
     episodes: int,
     names: Sequence[str] = FIGURES,
@@ -145,7 +148,7 @@ def _of_seeds(gait: dict[str, Any], name: str) -> list[float] | None:
     return [seed[0] for seed in gait["figures"][name]["seeds"]] if name in gait["figures"] else None
 
 
-def learner_in(policy: Trained, physics: str | None, world: str, overrides: list[str]) -> Any:
+def learner_in(policy: StoredPolicy, physics: str | None, world: str, overrides: list[str]) -> Any:
     """Return the learner of a policy whose task is that of a world, or has a fault."""
     learner = in_world(policy, physics, settings_of(overrides)).learner
     faulty: Any = learner.task

@@ -13,7 +13,7 @@ from humanoid_mjx.commands.options import POLICIES, Physics, Point, Trust, Unmod
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
-    from humanoid_mjx.evaluation.policy import Trained
+    from humanoid_mjx.evaluation.policy import StoredPolicy
     from humanoid_mjx.runs.statistics import Evaluation
 
 
@@ -117,7 +117,7 @@ def evaluation_table(title: str, evaluations: Sequence["Evaluation"]) -> Table:
     return table
 
 
-def words_on_returns(policies: Sequence["Trained"], evaluations: Sequence["Evaluation"]) -> list[str]:
+def words_on_returns(policies: Sequence["StoredPolicy"], evaluations: Sequence["Evaluation"]) -> list[str]:
     """A sentence for each policy that has a lower return than another agent, but only because that one waits: it
     succeeds no more often, and its discounted return is lower. An untrained policy is none."""
     found = []

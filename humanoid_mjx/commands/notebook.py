@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world, on_native
 from humanoid_mjx.report.web import MEDIA, data_address
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.statistics import Evaluation
@@ -53,7 +53,7 @@ def draw(run: Run | Path | str) -> list[Picture]:
 
 
 def evaluate(
-    what: Run | Trained | Path | str,
+    what: Run | StoredPolicy | Path | str,
     *,
     point: int | None = None,
     episodes: int = 1024,
@@ -102,7 +102,7 @@ def plot(
 
 
 def play(
-    what: Run | Trained | Path | str,
+    what: Run | StoredPolicy | Path | str,
     *,
     point: int | None = None,
     episode: int = 0,
@@ -128,7 +128,7 @@ def play(
 
 
 def film(
-    what: Run | Trained | Path | str,
+    what: Run | StoredPolicy | Path | str,
     reporter: Reporter,
     point: int | None,
     episode: int,
@@ -141,7 +141,7 @@ def film(
     from humanoid_mjx.evaluation.film import show
     from humanoid_mjx.report.rendering import render_film
 
-    trained, run = _policy(what, point, physics, overrides), None if isinstance(what, Trained) else _folder(what)
+    trained, run = _policy(what, point, physics, overrides), None if isinstance(what, StoredPolicy) else _folder(what)
     trained = trained if physics else on_native(trained)
     (shown, outcome), target = show(trained, reporter, episode), Path(out or f"{trained.name}.gif")
     if out is None and run is not None and run.is_dir():
@@ -154,9 +154,9 @@ def film(
 
 
 def _policy(
-    what: Run | Trained | Path | str, point: int | None, physics: str | None, overrides: Sequence[str]
-) -> Trained:
-    trained = what if isinstance(what, Trained) else find_policy(str(_folder(what)), point)
+    what: Run | StoredPolicy | Path | str, point: int | None, physics: str | None, overrides: Sequence[str]
+) -> StoredPolicy:
+    trained = what if isinstance(what, StoredPolicy) else find_policy(str(_folder(what)), point)
     return in_world(trained, physics, overrides)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from humanoid_mjx.evaluation.policy import Trained
+from humanoid_mjx.evaluation.policy import StoredPolicy
 from humanoid_mjx.learners.approximate import Weights
 from humanoid_mjx.learners.deep import DeepQ, QNetwork
 from humanoid_mjx.learners.normalisation import MAX_DEVIATIONS
@@ -58,7 +58,7 @@ void act(const float obs[{size}], int action[{joints}]) {{
 """
 
 
-def c_source(trained: Trained) -> str:
+def c_source(trained: StoredPolicy) -> str:
     """The C source of a policy of `deep_q`: functions `act` and `q_values` of a raw observation.
 
     Raises:

@@ -16,7 +16,7 @@ from jaxtyping import Array
 
 from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.evaluation.onnx_graph import to_onnx
-from humanoid_mjx.evaluation.policy import Trained, find_policy
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy
 from humanoid_mjx.files import names, whole_file, write_text
 from humanoid_mjx.learners.approximate import ApproximateQ
 from humanoid_mjx.learners.linear import LinearQ
@@ -34,7 +34,7 @@ from humanoid_mjx.tasks.legged.task import COMMANDED, LeggedTask
 FORMAT = "humanoid_mjx contract, version 1"
 
 
-def write_onnx(trained: Trained, file: Path) -> list[Path]:
+def write_onnx(trained: StoredPolicy, file: Path) -> list[Path]:
     """Write the network to FILE.onnx, the contract to FILE.json and into the graphs, and for a legged task the
     controller to FILE_controller.onnx; return the files.
 
@@ -101,7 +101,7 @@ def write_robot(what: str, file: Path, point: int | None = None) -> None:
     write_text(file, spec.to_xml())
 
 
-def contract_of(trained: Trained) -> dict[str, Any]:
+def contract_of(trained: StoredPolicy) -> dict[str, Any]:
     """Return what a program must know to use a policy without this package, as plain values in SI units and rad."""
     learner: Any = trained.learner
     env, weights = learner.env, trained.policy
@@ -180,7 +180,7 @@ def _plain(values: Any) -> Any:
     return np.asarray(values, np.float64).tolist()
 
 
-def _decision(trained: Trained, obs: Array) -> tuple[Array, ...]:
+def _decision(trained: StoredPolicy, obs: Array) -> tuple[Array, ...]:
     """The values of all choices, if the learner has such, and the greedy action; of equal choices the first."""
     learner, weights = trained.learner, trained.policy
     if not isinstance(learner, ApproximateQ):
@@ -189,7 +189,7 @@ def _decision(trained: Trained, obs: Array) -> tuple[Array, ...]:
     return q, jnp.argmax(jnp.where(learner.allowed, q, -jnp.inf), axis=-1).astype(jnp.int32)
 
 
-def _controller(trained: Trained) -> tuple[Any, dict[str, tuple[int, ...]], list[str]]:
+def _controller(trained: StoredPolicy) -> tuple[Any, dict[str, tuple[int, ...]], list[str]]:
     """The function of the sensors' readings in the order of `Readings`, the command and the memory, its inputs and its
     outputs. The memory holds 0 before the first decision, and then 1 and the episode as the robot knows it."""
     task: Any = trained.learner.task

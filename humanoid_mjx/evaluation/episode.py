@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from humanoid_mjx.compute import compiler_options
 from humanoid_mjx.evaluation.evaluate import held_out_key
-from humanoid_mjx.evaluation.policy import Trained
+from humanoid_mjx.evaluation.policy import StoredPolicy
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import MAX_EPISODE_STEPS, decide, decision_keys, greedy, start
 from humanoid_mjx.physics.base import Controller, Physics, World
@@ -58,7 +58,7 @@ class Motion(NamedTuple):
     """Torques that acted during the step, N m."""
 
 
-def robot_of(trained: Trained) -> mujoco.MjModel:
+def robot_of(trained: StoredPolicy) -> mujoco.MjModel:
     """The robot that a policy moves.
 
     Raises:
@@ -92,7 +92,7 @@ def world_of(data: Any) -> World:
 
 
 def play(
-    trained: Trained,
+    trained: StoredPolicy,
     episode: int = 0,
     tell: Callable[[int], None] = lambda decisions: None,
     told: Mapping[str, float] | None = None,
@@ -154,7 +154,7 @@ def own_data(task: Task, state: State) -> Any:
     return state.data[0] if isinstance(task, FiniteTask) else state.data
 
 
-def rows_of(trained: Trained, played: Played) -> tuple[Float[np.ndarray, "rows nq"], float]:
+def rows_of(trained: StoredPolicy, played: Played) -> tuple[Float[np.ndarray, "rows nq"], float]:
     """`qpos` in rows, and the time from one to the next, s: one for each time step of the physics and `HOLD_S` more
     where decisions are longer than `SMOOTH_S` and the task has `drive`; else one for each decision."""
     task: Any = trained.learner.task
@@ -163,7 +163,7 @@ def rows_of(trained: Trained, played: Played) -> tuple[Float[np.ndarray, "rows n
     return np.stack([np.asarray(world_of(data).qpos) for data in played.states]), task.period
 
 
-def motion_of(trained: Trained, played: Played) -> Motion:
+def motion_of(trained: StoredPolicy, played: Played) -> Motion:
     """The motion of a played episode of a task that has `drive`, and `HOLD_S` more under its last controller."""
     task: Any = trained.learner.task
     world, data, action, motions = world_of(played.states[-1]), played.states[0], None, []

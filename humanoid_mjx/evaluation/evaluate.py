@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from humanoid_mjx.compute import Arithmetic, Program, jitted, rng
-from humanoid_mjx.evaluation.policy import Trained
+from humanoid_mjx.evaluation.policy import StoredPolicy
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import AGENTS, Episode, agent, rollout
 from humanoid_mjx.runs.statistics import Evaluation, estimated
@@ -42,7 +42,7 @@ def held_out_keys(episodes: int) -> Key[Array, " episodes"]:
     return jax.vmap(held_out_key)(jnp.arange(episodes))
 
 
-def play_out(trained: Trained, name: str, episodes: int) -> dict[str, np.ndarray]:
+def play_out(trained: StoredPolicy, name: str, episodes: int) -> dict[str, np.ndarray]:
     """`success`, `return`, `steps` and `discounted_return` of held-out episodes, (episodes,) each, in which one of
     `AGENTS` decides."""
     block = min(episodes, BLOCK)
@@ -55,10 +55,10 @@ def play_out(trained: Trained, name: str, episodes: int) -> dict[str, np.ndarray
     return dict(zip(("success", "return", "steps", "discounted_return"), columns, strict=True))
 
 
-def evaluate_all(policies: Sequence[Trained], episodes: int) -> list[Evaluation]:
+def evaluate_all(policies: Sequence[StoredPolicy], episodes: int) -> list[Evaluation]:
     """Each policy, and the zero and the random agent once for each task among them."""
     found: list[Evaluation] = []
-    tasks: dict[str, list[Trained]] = {}
+    tasks: dict[str, list[StoredPolicy]] = {}
     for trained in policies:
         tasks.setdefault(json.dumps(resolved(trained.config)["task"], sort_keys=True), []).append(trained)
     for same in tasks.values():

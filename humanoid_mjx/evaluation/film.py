@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.evaluation.episode import Played, play, robot_of, rows_of
-from humanoid_mjx.evaluation.policy import Trained
+from humanoid_mjx.evaluation.policy import StoredPolicy
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.types import AnyArray
@@ -72,7 +72,7 @@ class Film(NamedTuple):
         return next((words for start, words in reversed(self.told) if start <= seconds + 1e-9), "")
 
 
-def film_of(trained: Trained, played: Played, title: str | None = None) -> Film:
+def film_of(trained: StoredPolicy, played: Played, title: str | None = None) -> Film:
     """The film of a played episode. `title` is by default the policy's name.
 
     Raises:
@@ -91,7 +91,7 @@ def film_of(trained: Trained, played: Played, title: str | None = None) -> Film:
     return film if terrain is None else _level(film, jax.tree.map(float, terrain), trained)
 
 
-def _level(film: Film, terrain: Terrain, trained: Trained) -> Film:
+def _level(film: Film, terrain: Terrain, trained: StoredPolicy) -> Film:
     """The film of a body on a terrain, turned so that the z axis points against gravity; its model has no ground but a
     plane."""
     turn, qpos = np.empty(4), np.array(film.qpos, np.float64)
@@ -104,7 +104,7 @@ def _level(film: Film, terrain: Terrain, trained: Trained) -> Film:
     return film._replace(qpos=qpos, terrain=terrain, model=trained.learner.task.robot.model)
 
 
-def show(trained: Trained, reporter: Reporter, episode: int = 0) -> tuple[Film, str]:
+def show(trained: StoredPolicy, reporter: Reporter, episode: int = 0) -> tuple[Film, str]:
     """Play a policy's held-out episode of this number; 0 is the first. Return its film, and its end in a sentence.
 
     Raises:
@@ -124,7 +124,7 @@ def show(trained: Trained, reporter: Reporter, episode: int = 0) -> tuple[Film, 
     )
 
 
-def driven_films(trained: Trained, seconds: float) -> list[Film]:
+def driven_films(trained: StoredPolicy, seconds: float) -> list[Film]:
     """Films of a policy under a constant command: for each part of the command one film at `DRIVEN` of each end of its
     range that is not 0."""
     task: Any = trained.learner.task

@@ -38,7 +38,7 @@ OBSERVED = "task.observe", "task.symmetric"
 
 
 class _Origin(pydantic.BaseModel):
-    """Where a policy comes from: `Trained.origin`."""
+    """Where a policy comes from: `StoredPolicy.origin`."""
 
     model_config = pydantic.ConfigDict(extra="forbid", strict=True)
 
@@ -59,8 +59,8 @@ class _Header(pydantic.BaseModel):
     origin: _Origin
 
 
-class Trained(NamedTuple):
-    """The policy of one run of a sweep."""
+class StoredPolicy(NamedTuple):
+    """The policy of one run of a sweep, from a run folder or a policy file."""
 
     learner: Learner
     """The learner, with the hyper-parameters of its sweep point as arrays."""
@@ -85,7 +85,7 @@ class Trained(NamedTuple):
         return place | {"config": resolved(self.config), "origin": self.origin}
 
 
-def find_policy(name: str, point: int | None = None) -> Trained:
+def find_policy(name: str, point: int | None = None) -> StoredPolicy:
     """The best policy of a run folder, or of one point of its sweep; that of a file; the shipped one of this name; or
     none but the servo of the robot of this name or YAML (`evaluation.rest`).
 
@@ -106,7 +106,7 @@ def find_policy(name: str, point: int | None = None) -> Trained:
     return read_policy(file)
 
 
-def at_rest(robot: str) -> Trained:
+def at_rest(robot: str) -> StoredPolicy:
     """The policy that holds a robot's home posture by its servo, on the task `stand` without pushes.
 
     `robot`: a name, or the path of a YAML.
@@ -119,10 +119,10 @@ def at_rest(robot: str) -> Trained:
     config = parse({"name": Path(robot).stem, "task": task, "learner": learner, "total_steps": 4096}, robot)
     (group,) = make_plan(config).groups
     policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape, leaf.dtype), group.policy)
-    return Trained(group.learner(), policy, 0, 0, config.name, config, {"scores": {}, "provenance": {}})
+    return StoredPolicy(group.learner(), policy, 0, 0, config.name, config, {"scores": {}, "provenance": {}})
 
 
-def best_policy(path: Path, point: int | None = None) -> Trained:
+def best_policy(path: Path, point: int | None = None) -> StoredPolicy:
     """The best run of a run folder's best point (`runs.ranking`), or of the point of this number: the most often
     successful, among equals the quickest or that of the highest return.
 
@@ -132,7 +132,7 @@ def best_policy(path: Path, point: int | None = None) -> Trained:
     return policies_of_best(path, point, most=1)[0]
 
 
-def policies_of_best(path: Path, point: int | None = None, most: int | None = None) -> list[Trained]:
+def policies_of_best(path: Path, point: int | None = None, most: int | None = None) -> list[StoredPolicy]:
     """The runs of a run folder's best point, or of the point of this number, one for each training seed that is
     finished: all, or so many at most, the best first.
 
@@ -163,11 +163,11 @@ def policies_of_best(path: Path, point: int | None = None, most: int | None = No
         learned = {name: array[row] for name, array in arrays.items() if name.startswith("policy")}
         place, origin = (point, int(arrays["seed"][row])), {"scores": final, "provenance": provenance}
         policy = _policy(like, learned, f"{path}: the run of point {point} with seed {place[1]}")
-        found.append(Trained(group.learner(), policy, *place, path.resolve().name, alone, origin))
+        found.append(StoredPolicy(group.learner(), policy, *place, path.resolve().name, alone, origin))
     return found
 
 
-def save_policy(trained: Trained, path: Path) -> None:
+def save_policy(trained: StoredPolicy, path: Path) -> None:
     """Write a policy file.
 
     Raises:
@@ -179,7 +179,7 @@ def save_policy(trained: Trained, path: Path) -> None:
         np.savez_compressed(file, allow_pickle=False, header=text, **to_arrays(trained.policy, "policy"))
 
 
-def read_policy(path: Path) -> Trained:
+def read_policy(path: Path) -> StoredPolicy:
     """Read a policy file.
 
     Raises:
@@ -213,10 +213,10 @@ def read_policy(path: Path) -> Trained:
     if more := sorted(arrays.keys() - text.keys() - to_arrays(policy, "policy").keys()):
         raise InputError(f"{path}: {more[0]}: a policy has no such array; export it again from its run.")
     origin = header.origin.model_dump()
-    return Trained(group.learner(), policy, header.point, header.seed, header.name, parsed, origin)
+    return StoredPolicy(group.learner(), policy, header.point, header.seed, header.name, parsed, origin)
 
 
-def in_world(trained: Trained, physics: str | None, overrides: Sequence[str] = ()) -> Trained:
+def in_world(trained: StoredPolicy, physics: str | None, overrides: Sequence[str] = ()) -> StoredPolicy:
     """The same policy, its task simulated by another physics, if one is named, and in a changed world
     (`in_changed_world`).
 
@@ -230,34 +230,36 @@ def in_world(trained: Trained, physics: str | None, overrides: Sequence[str] = (
     return in_changed_world(trained, overrides) if overrides else trained
 
 
-def in_worlds(policies: Sequence[Trained], worlds: Sequence[str | None], overrides: Sequence[str]) -> list[Trained]:
+def in_worlds(
+    policies: Sequence[StoredPolicy], worlds: Sequence[str | None], overrides: Sequence[str]
+) -> list[StoredPolicy]:
     """Each policy on each of these physics and in a changed world (`in_world`), named apart."""
     every = [(physics, in_world(trained, physics, overrides)) for trained in policies for physics in worlds]
     suffix = {UNMODIFIED: f", {UNMODIFIED}"} if len(worlds) > 1 else {}
     return [found._replace(name=found.name + suffix.get(physics or "", "")) for physics, found in every]
 
 
-def played_by(policies: Sequence[Trained]) -> list[str]:
+def played_by(policies: Sequence[StoredPolicy]) -> list[str]:
     """A sentence for each policy that plays in an unmodified file: what moves the robot there."""
     tasks: dict[str, Any] = {each.name: each.learner.task for each in policies}
     own = {name: task for name, task in tasks.items() if getattr(task, "physics", None) == UNMODIFIED}
     return [f"{name}: {task.simulator.words(task.period)}." for name, task in own.items()]
 
 
-def on_native(trained: Trained) -> Trained:
+def on_native(trained: StoredPolicy) -> StoredPolicy:
     """The same policy on native MuJoCo, which moves one robot without compiling, as far as its task can."""
     with suppress(InputError):
         return in_world(trained, "mujoco")
     return trained
 
 
-def on_plane(trained: Trained) -> Trained:
+def on_plane(trained: StoredPolicy) -> StoredPolicy:
     """The same policy on a level plane, which is all that web pages draw."""
     shaped = getattr(trained.learner.task, "terrain", None)
     return in_changed_world(trained, ["task.terrain=null"]) if shaped else trained
 
 
-def in_changed_world(trained: Trained, overrides: Sequence[str]) -> Trained:
+def in_changed_world(trained: StoredPolicy, overrides: Sequence[str]) -> StoredPolicy:
     """The same policy where values of its task are others, such as "task.friction=0.5".
 
     Raises:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from matplotlib.colors import PowerNorm
 
 from humanoid_mjx.compute import compiler_options
-from humanoid_mjx.evaluation.policy import Trained, find_policy
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.report.figures import Figure, side_by_side
 from humanoid_mjx.report.style import COLORS, SEQUENTIAL, label_lines, log_axis, shades
@@ -60,7 +60,7 @@ def learned(path: Path) -> tuple[str, list[Figure]]:
     return f"{words} Dots: the best action. The value of a state is that of its best action.", _tables(stages)
 
 
-def repeated(trained: Trained) -> Stages | None:
+def repeated(trained: StoredPolicy) -> Stages | None:
     """Train the table of a run again and keep what it knew after some numbers of episodes.
 
     None where this does not end in the same table: the run is longer than `MOST_MOVES`, started from another, or was

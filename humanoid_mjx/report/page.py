@@ -18,7 +18,7 @@ from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import driven_films, show
 from humanoid_mjx.evaluation.gait.measure import measure, settings_of
 from humanoid_mjx.evaluation.gait.scenarios import walking_task
-from humanoid_mjx.evaluation.policy import Trained, find_policy, in_world, on_native, on_plane
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world, on_native, on_plane
 from humanoid_mjx.evaluation.replay import why_stopped
 from humanoid_mjx.report.drawing import HEAT_MAPS
 from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, figures_of, mapped, parameters
@@ -218,7 +218,7 @@ def _motion(path: Path, reporter: Reporter) -> list[str]:
     return [text(words), player(film, still=NO_SCRIPT), _grid(pictures, " strip"), *driven]
 
 
-def _gaits(trained: Trained, reporter: Reporter) -> list[str]:
+def _gaits(trained: StoredPolicy, reporter: Reporter) -> list[str]:
     """The table of `evaluate --gait` of a few episodes; nothing where the task's commands are not of a gait."""
     with suppress(InputError):
         walking_task(trained.learner.task)

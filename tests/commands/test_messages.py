@@ -16,7 +16,7 @@ from humanoid_mjx import InputError, sweep
 from humanoid_mjx.commands.evaluate import evaluation_table, words_on_returns
 from humanoid_mjx.config import parse
 from humanoid_mjx.evaluation.c_source import c_source
-from humanoid_mjx.evaluation.policy import Trained
+from humanoid_mjx.evaluation.policy import StoredPolicy
 from humanoid_mjx.evaluation.replay import _culprit
 from humanoid_mjx.files import meant
 from humanoid_mjx.learners.base import Outcome, StepLearner
@@ -297,7 +297,7 @@ def test_only_the_shipped_network_becomes_c(kind, written):
     policy = jax.eval_shape(lambda: learner.policy(learner.init(jax.random.key(0))))
     policy = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), policy)
     config = {"name": "c", "task": {"name": "hop:Hop"}, "learner": {"name": "hop:BoldQ"}}
-    trained = Trained(learner, policy, 0, 0, "mine", parse(config), {})
+    trained = StoredPolicy(learner, policy, 0, 0, "mine", parse(config), {})
     if written:
         assert "void act(" in c_source(trained)
         return
@@ -313,7 +313,7 @@ def row(policy, agent, success, total, discounted):
 def test_an_untrained_policy_is_not_said_to_lose_by_others_that_wait():
     config = parse({"name": "still", "task": {"name": "stand"}, "learner": {"name": "deep_q"}})
     nothing: Any = None
-    still = Trained(nothing, None, 0, 0, "still", config, {})
+    still = StoredPolicy(nothing, None, 0, 0, "still", config, {})
     rows = [
         row("still", "greedy", 0, 3.0, 2.0),
         row("stand", "zero", 100, 9.0, 5.0),

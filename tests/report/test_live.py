@@ -20,7 +20,7 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, Stage
-from humanoid_mjx.evaluation.policy import Trained, find_policy, in_changed_world
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_changed_world
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.report.live import Window, _scales, make_server, serve
 from humanoid_mjx.robot import make_robot
@@ -409,7 +409,7 @@ def test_a_robot_with_a_physics_of_its_own_is_seen_but_not_touched():
     learner = make_plan(config).groups[0].learner()
     key = jax.random.key(0)
     policy = jax.jit(lambda learner: learner.policy(learner.init(key)))(learner)
-    live = Live(Trained(learner, policy, 0, 0, "own", config, {}))
+    live = Live(StoredPolicy(learner, policy, 0, 0, "own", config, {}))
     live.stage.hands.pace = FAST
     window = Window(live)
     assert not (live.touchable or live.ranges or window.scales)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from humanoid_mjx.evaluation.gait.figures import Gait
 from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_worlds, scenarios_of, walking_task
-from humanoid_mjx.evaluation.policy import Trained, find_policy, policies_of_best
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, policies_of_best
 from humanoid_mjx.learners.rollout import AGENTS
 from humanoid_mjx.tasks.legged.commands import Velocity
 from humanoid_mjx.training.plan import resolved
@@ -22,7 +22,7 @@ WORLD = {"task.duration": "20", "task.push.impulse": "0", "task.randomise": "nul
 class Measured(NamedTuple):
     """Policies of one task that differ by their training seed alone, and what they do."""
 
-    policies: list[Trained]
+    policies: list[StoredPolicy]
     gaits: list[Gait]
     beyond: list[str]
     """Scenarios whose commands lie outside the ranges of the task's own."""
@@ -33,14 +33,14 @@ class Measured(NamedTuple):
         return {"policies": policies, "beyond_training": self.beyond, "gaits": gaits}
 
 
-def trained_seeds(names: Sequence[str], point: int | None = None) -> list[Trained]:
+def trained_seeds(names: Sequence[str], point: int | None = None) -> list[StoredPolicy]:
     """All runs of the best point of each run folder named, or of the point of this number, and the policies that are
     named themselves.
 
     Raises:
       InputError: as `find_policy`; or a policy's task moves no body by commands.
     """
-    found: list[Trained] = []
+    found: list[StoredPolicy] = []
     for name in names:
         found += policies_of_best(Path(name), point) if Path(name).is_dir() else [find_policy(name, point)]
     for policy in found:
@@ -60,13 +60,13 @@ def settings_of(overrides: Sequence[str]) -> list[str]:
 
 
 def measure(
-    policies: Sequence[Trained], episodes: int, tell: Callable[[int, int], None], agents: Sequence[str] = AGENTS
+    policies: Sequence[StoredPolicy], episodes: int, tell: Callable[[int, int], None], agents: Sequence[str] = AGENTS
 ) -> list[Measured]:
     """Measure the gaits of agents, for each group of policies of the same task and the same kind of learner.
 
     `tell` is called with how many of a group's episodes have been played.
     """
-    groups: dict[Any, list[Trained]] = {}
+    groups: dict[Any, list[StoredPolicy]] = {}
     for policy in policies:
         task = json.dumps(resolved(policy.config)["task"], sort_keys=True)
         groups.setdefault((task, jax.tree.structure((policy.learner, policy.policy))), []).append(policy)
@@ -74,7 +74,7 @@ def measure(
 
 
 def _measure(
-    policies: list[Trained], episodes: int, tell: Callable[[int, int], None], agents: Sequence[str]
+    policies: list[StoredPolicy], episodes: int, tell: Callable[[int, int], None], agents: Sequence[str]
 ) -> Measured:
     learner = policies[0].learner
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))

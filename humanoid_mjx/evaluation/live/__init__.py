@@ -12,7 +12,7 @@ from jaxtyping import Float
 from humanoid_mjx.evaluation.episode import begun, decided, own_data, robot_of, single, world_of
 from humanoid_mjx.evaluation.live.body import Grab as Grab
 from humanoid_mjx.evaluation.live.stage import LiveMujoco, Stage
-from humanoid_mjx.evaluation.policy import Trained, in_world, on_plane
+from humanoid_mjx.evaluation.policy import StoredPolicy, in_world, on_plane
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.continuous import State
@@ -27,7 +27,7 @@ SPEEDS = "forward, m/s", "left, m/s", "turn left, rad/s"
 class Live:
     """A policy that plays without an end. `run` moves its robots in its own thread; any other may set what it reads."""
 
-    def __init__(self, trained: Trained, episode: int = 0, robots: int = 1):
+    def __init__(self, trained: StoredPolicy, episode: int = 0, robots: int = 1):
         """Take a policy's task to a stage with so many robots, each in an episode of its own from `episode` on.
 
         Raises:
