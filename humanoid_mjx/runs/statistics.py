@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Num
-from scipy.special import stdtr, stdtrit
 
 ERROR = 0.05
 """One minus the level of intervals; the share of false alarms that a comparison may have."""
@@ -131,6 +130,8 @@ def _are_alike(values: Float[np.ndarray, "points seeds"], error: float) -> bool:
     if np.ptp(means := values.mean(axis=1)) < ROUNDING or seeds < 2:
         return True
     if points == 2:
+        from scipy.special import stdtr
+
         gaps = values[0] - values[1]
         return bool(2 * stdtr(seeds - 1, -abs(gaps.mean()) / max(gaps.std(ddof=1) / seeds**0.5, ROUNDING)) > error)
     rng, found, as_far = np.random.default_rng(0), np.array([np.ptp(means), means.var()]), np.zeros(2)
@@ -187,7 +188,7 @@ def importance_of_drawn(level: Int[np.ndarray, " points"], values: Float[np.ndar
     if len(groups) < 3 or values.shape[1] < 2:
         return Estimate(0.0, -1.0, 1.0)
     without = np.array([share(np.delete(every, group)) for group in groups])
-    half = stdtrit(len(groups) - 1, 1 - ERROR / 2) * np.sqrt((len(groups) - 1) * without.var())
+    half = _student(len(groups) - 1) * np.sqrt((len(groups) - 1) * without.var())
     return Estimate(found := share(every), max(found - half, -1.0), min(found + half, 1.0))
 
 
@@ -210,6 +211,13 @@ def rate_interval(successes: Bool[np.ndarray, " n"]) -> tuple[float, float]:
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
+def _student(freedom: Any) -> Any:
+    """The factor of Student's interval of level 1 - `ERROR`."""
+    from scipy.special import stdtrit  # slow to import, and most commands do without
+
+    return stdtrit(freedom, 1 - ERROR / 2)
+
+
 def mean_interval(values: Float[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
     """Student's interval of the mean of many episodes, the first axis, whose NaN entries are left out; NaN where fewer
     than two others remain."""
@@ -218,7 +226,7 @@ def mean_interval(values: Float[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray,
     count, enough = np.maximum(n, 2), n > 1
     mean = np.where(known, values, 0.0).sum(axis=0) / count
     square = np.where(known, (values - mean) ** 2, 0.0).sum(axis=0)
-    half = np.where(enough, stdtrit(count - 1, 1 - ERROR / 2) * np.sqrt(square / (count - 1) / count), np.nan)
+    half = np.where(enough, _student(count - 1) * np.sqrt(square / (count - 1) / count), np.nan)
     return np.asarray(mean - half), np.asarray(mean + half)
 
 
