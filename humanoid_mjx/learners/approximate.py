@@ -135,6 +135,22 @@ class ApproximateQ(StepLearner):
         """Move the weights towards the targets: new weights, optimizer state, and the mean squared TD error."""
         raise NotImplementedError
 
+    def choose(
+        self,
+        q: Float[Array, "envs joints bins"],
+        amount: Float[Array, " envs"],
+        tie_key: Key[Array, ""],
+        key: Key[Array, ""],
+    ) -> Int[Array, "envs joints"]:
+        """The actions that training takes. Override it for an exploration of your own.
+
+        `q`: the value of every choice, of which those in `allowed` exist; `amount`: epsilon, or the temperature, of
+        each environment; `tie_key` chooses among equally good choices.
+        """
+        if self.exploration == "boltzmann":
+            return exploration.drawn_choices(exploration.chances(self, q, amount), key)
+        return exploration.explore(exploration.greedy(q, self.allowed, tie_key), self.allowed, amount, key)
+
     def preprocess(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
         """A raw observation in the form that the approximation takes."""
         return obs
@@ -207,11 +223,7 @@ class ApproximateQ(StepLearner):
             obs = envs.state.obs
             q = self.q_values(carry.weights.value, self.preprocess(carry.weights, obs))
             amount = exploration.amounts(self, envs.episode)
-            if self.exploration == "boltzmann":
-                action = exploration.drawn_choices(exploration.chances(self, q, amount), explore_key)
-            else:
-                best = exploration.greedy(q, self.allowed, greedy_key)
-                action = exploration.explore(best, self.allowed, amount, explore_key)
+            action = self.choose(q, amount, greedy_key, explore_key)
             envs, state, sums = step_all(self.env, envs, action, step_key, reset_key)
             executed = action if state.executed is None else state.executed
             seen = Experience(obs, executed, state.reward, state.terminated, state.truncated, state.final_obs, amount)

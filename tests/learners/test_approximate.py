@@ -303,6 +303,25 @@ def test_the_greedy_choice_is_the_best_there_is_and_any_of_equal_ones():
     assert (best[:, 1] == 0).all()
 
 
+class Hasty(LinearQ):
+    """An exploration of one's own: each joint takes its worst choice while epsilon is large, then its first."""
+
+    def choose(self, q, amount, tie_key, key):
+        return jnp.where(amount[:, None] < 0.5, 0, jnp.where(self.allowed, q, jnp.inf).argmin(axis=-1))
+
+
+def test_an_exploration_of_ones_own_chooses_the_actions_of_training_and_no_others():
+    learner = Hasty(task=make_task("leg_reach", duration=0.3), envs=4, rollout=5, epsilon_decay=0.0)
+    carry = learner.init(rng.key(0))
+    value = carry.weights.value.at[..., 2].set(-1.0)  # the third choice is everywhere the worst
+    weights = carry.weights._replace(value=value)
+    _, experience, _ = jax.jit(learner._collect)(carry._replace(weights=weights), rng.key(1))
+    first = np.arange(5) < 3  # an episode has three decisions
+    np.testing.assert_array_equal(experience.action, np.broadcast_to(np.where(first, 2, 0)[:, None, None], (5, 4, 5)))
+    greedy = learner.act(weights, carry.envs.state.obs, rng.key(0))
+    assert greedy.shape == (4, 5) and not (greedy == 2).any()
+
+
 def test_epsilon_decays_by_the_episode_and_climbs_the_ladder():
     learner = build("tiles", probe("choice")[0], epsilon=0.5, epsilon_decay=0.9, epsilon_min=0.2, epsilon_spread=1.0)
     found = exploration.amounts(learner, jnp.array([0, 1, 100]))
