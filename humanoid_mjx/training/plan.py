@@ -248,9 +248,7 @@ def build(config: Config, point: Mapping[str, Any]) -> Learner:
     Raises:
       InputError: an unknown task, learner or key, a value out of range, or a budget in the wrong unit.
     """
-    parts = {"task": dict(config.task), "learner": dict(config.learner)}
-    for key, value in point.items():
-        set_dotted(parts, key, value)
+    parts = at_point({"task": dict(config.task), "learner": dict(config.learner)}, point)
     name = parts["learner"].pop("name")
     given = {"episodes": config.episodes, "total_steps": config.total_steps}
     budget = {key: value for key, value in given.items() if value is not None}
