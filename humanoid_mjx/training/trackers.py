@@ -132,12 +132,13 @@ class TensorBoard(Tracker):
     def on_start(self, folder: Path, config: dict[str, Any], points: Mapping[str, Mapping[str, Any]]) -> None:
         self.folder = folder / "tensorboard"
         shutil.rmtree(self.folder, ignore_errors=True)
-        self.writers = {point: self.writer(str(self.folder / point)) for point in points}
+        self.writers: dict[str, Any] = {}
 
     def on_record(self, point: str, step: int, means: Mapping[str, float]) -> None:
+        writer = self.writers.get(point) or self.writers.setdefault(point, self.writer(str(self.folder / point)))
         for name, mean in means.items():
-            self.writers[point].add_scalar(name, mean, step)
-        self.writers[point].flush()
+            writer.add_scalar(name, mean, step)
+        writer.flush()
 
     def on_end(self, files: Sequence[Path], finished: bool) -> str:
         for writer in self.writers.values():
@@ -158,13 +159,15 @@ class WandB(Tracker):
     def on_start(self, folder: Path, config: dict[str, Any], points: Mapping[str, Mapping[str, Any]]) -> None:
         place = {"project": os.environ.get("WANDB_PROJECT", PROJECT), "group": folder.name}
         settings = self.wandb.Settings(silent=True, console="off")
-        start = partial(self.wandb.init, **place, reinit="create_new", settings=settings)
-        self.folder, self.sweep = folder, start(name=folder.name, job_type="sweep", config=config)
-        self.runs = {name: start(name=name, job_type="point", config=at_point(config, points[name])) for name in points}
-        for run in self.runs.values():
-            run.define_metric("*", step_metric="trained")  # the own count of W&B may not fall
+        self._start = partial(self.wandb.init, **place, reinit="create_new", settings=settings)
+        self.folder, self.sweep = folder, self._start(name=folder.name, job_type="sweep", config=config)
+        self.configs = {name: at_point(config, values) for name, values in points.items()}
+        self.runs: dict[str, Any] = {}
 
     def on_record(self, point: str, step: int, means: Mapping[str, float]) -> None:
+        if point not in self.runs:
+            self.runs[point] = self._start(name=point, job_type="point", config=self.configs[point])
+            self.runs[point].define_metric("*", step_metric="trained")  # the own count of W&B may not fall
         self.runs[point].log({"trained": step, **means})
 
     def on_end(self, files: Sequence[Path], finished: bool) -> str:
@@ -193,15 +196,15 @@ class MLflow(Tracker):
         place = self.mlflow.set_experiment(os.environ.get("MLFLOW_EXPERIMENT_NAME", PROJECT)).experiment_id
         self.sweep = self.client.create_run(place, run_name=folder.name).info.run_id
         self.client.log_dict(self.sweep, config, "config.yaml")
-        child = partial(self.client.create_run, place, tags={"mlflow.parentRunId": self.sweep})
-        self.runs = {name: child(run_name=name).info.run_id for name in points}
-        self.waiting: dict[str, list[Any]] = {name: [] for name in points}
+        self._child = partial(self.client.create_run, place, tags={"mlflow.parentRunId": self.sweep})
+        self.points, self.runs, self.waiting = points, dict[str, str](), dict[str, list[Any]]()
         self.due = time.monotonic() + EVERY_S
-        for name, values in points.items():
-            params = [self.mlflow.entities.Param(key, str(value)) for key, value in values.items()]
-            self.client.log_batch(self.runs[name], params=params)
 
     def on_record(self, point: str, step: int, means: Mapping[str, float]) -> None:
+        if point not in self.runs:
+            self.runs[point], self.waiting[point] = self._child(run_name=point).info.run_id, []
+            params = [self.mlflow.entities.Param(key, str(value)) for key, value in self.points[point].items()]
+            self.client.log_batch(self.runs[point], params=params)
         now = int(time.time() * 1000)
         self.waiting[point] += [self.mlflow.entities.Metric(name, mean, now, step) for name, mean in means.items()]
         if time.monotonic() > self.due:

@@ -114,7 +114,7 @@ def test_points_of_several_programs_and_steps_are_halved(tmp_path):
     axes = {"learner.tilings": [1, 2], "learner.learning_rate": {"loguniform": [0.01, 1.0]}}
     search = {"mode": "halving", "points": 5, "eta": 2, "rungs": 2, "axes": axes}
     changes = {"learner": learner, "sweep": search, "episodes": None, "total_steps": 64, "record": 4, "seeds": 2}
-    run = sweep(CONFIG | changes, tmp_path / "run", tensorboard=True)
+    run = sweep(CONFIG | changes, tmp_path / "run", trackers=["tensorboard"])
     rungs, results = run.summary["rung"], run.results
     assert sorted(rungs.tolist()) == [1] * 6 + [2] * 4
     assert results["step"][results["rung"] == 1][:4].tolist() == [8, 16, 24, 32]
