@@ -105,8 +105,21 @@ class Spec(pydantic.BaseModel):
         return value
 
     def replace(self: SomeSpec, **values: Any) -> SomeSpec:
-        """Return a copy with other values in some fields. Values are not checked, so they may be traced arrays."""
-        assert values.keys() <= type(self).model_fields.keys(), f"{type(self).__name__} lacks some of {list(values)}"
+        """Return a copy with other values in some fields. Traced fields take arrays, whose values are not checked.
+
+        Raises:
+          InputError: no such field; in a static field an array, or text that is none of its choices.
+        """
+        for name, value in values.items():
+            place = f"{type(self).__name__}.replace: {name}"
+            if (field := type(self).model_fields.get(name)) is None:
+                raise InputError(f"{place}: unknown field; {known(name, type(self).model_fields)}.")
+            choices = [kind for kind in _within([field.annotation]) if isinstance(kind, str)]
+            if isinstance(value, str) and choices and value not in choices:
+                raise InputError(f"{place} must be one of {', '.join(choices)}, got {value!r}.")
+            if isinstance(value, (jax.Array, np.ndarray)) and not is_traced(field):
+                why = "it shapes the program, so no array can stand there; take its values one by one in a Python loop"
+                raise InputError(f"{place} is static: {why}.")
         return self.model_copy(update=values)
 
 
@@ -284,7 +297,8 @@ def find(kind: str, registry: Mapping[str, str], base: type[Some], name: str) ->
       InputError: unknown name, a module that cannot be imported, a class that is no `base`.
     """
     if not isinstance(name, str):
-        raise InputError(f"{kind}.name must be a string, got {name!r}.")
+        hint = f'; write "{name.__module__}:{name.__name__}", or {name.__name__}(...)' if isinstance(name, type) else ""
+        raise InputError(f"{kind}.name must be a string, got {name!r}{hint}.")
     path = registry.get(name, name)
     if ":" not in path:
         raise InputError(f"{kind}.name: unknown {kind} {name!r}; {known(name, registry)}.")
@@ -381,6 +395,9 @@ def sentence(
     key = ".".join(part for part in parts if part != "" and "[" not in part)  # in brackets stand kinds, not keys
     got = f", got {shown(fault['input'])}"
     match fault["type"]:
+        case "float_type" | "int_type" if isinstance(fault["input"], (jax.Array, np.ndarray, np.generic)):
+            last = fault["loc"][-1]
+            return f"{key} must be a number{got}; build with a number, then .replace({last}=...) takes an array."
         case kind if kind in SENTENCES:
             return f"{key} {SENTENCES[kind].format(**fault['ctx'])}{got}."
         case "extra_forbidden":
