@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 from humanoid_mjx.compute import check_settings
 from humanoid_mjx.learners.base import Learner
-from humanoid_mjx.spec import InputError, find, make
+from humanoid_mjx.spec import InputError, find, make, shown
 from humanoid_mjx.tasks import name_of
 from humanoid_mjx.tasks.base import Task
 
@@ -21,6 +21,9 @@ LEARNERS = {
     "tabular_q": "humanoid_mjx.learners.tabular:TabularQ",
 }
 
+UNITS = {"episodes": "episodes", "total_steps": "control steps of all environments"}
+"""Units of the length of training, in words."""
+
 
 @overload
 def make_learner(name: Literal["brax_ppo"], /, task: Task, **params: Any) -> "BraxPPO": ...
@@ -35,28 +38,31 @@ def make_learner(name: str, /, task: Task, **params: Any) -> Learner: ...
 def make_learner(name: str, /, task: Task, **params: Any) -> Learner:
     """Build the learner called `name` for `task`, or a user's own given as "package.module:Class".
 
+    Its learning curve has `record` entries, by default 100 or one for each update of a shorter training.
+
     Raises:
       InputError: unknown name or parameter, a value out of range, a task of a kind that it cannot learn, or a setting
         of jax with which no learner trains.
     """
     check_settings()
-    class_for(name, task)
-    return make("learner", LEARNERS, Learner, name, task=task, **params)
-
-
-def class_for(name: str, task: Task) -> type[Learner]:
-    """The class of the learner called `name`, which learns `task`.
-
-    Raises:
-      InputError: unknown name, or a task of a kind that it cannot learn.
-    """
     cls = find("learner", LEARNERS, Learner, name)
-    if isinstance(task, Task) and not isinstance(task, wanted := _kinds(cls)):
+    if not isinstance(task, Task):
+        instead = f"make_task({task!r})" if isinstance(task, str) else f"{getattr(task, '__name__', 'make_task')}(...)"
+        raise InputError(f"make_learner: task must be a Task, got {shown(task)}; pass {instead}.")
+    if not isinstance(task, wanted := _kinds(cls)):
         fit = ", ".join(n for n in LEARNERS if isinstance(task, _kinds(find("learner", LEARNERS, Learner, n))))
         kinds = " or ".join(kind.__name__.removesuffix("Task").lower() for kind in wanted)
         no = f"{name} learns {kinds} tasks, which {name_of(task)} is not"
         raise InputError(f"learner.name: {no}; learners for it are {fit}.")
-    return cls
+    if odd := [unit for unit in UNITS if unit in params and unit not in cls.model_fields]:
+        typed = f"in commands --set {odd[0]}=null --set {cls.unit}=N"
+        raise InputError(f"{odd[0]}: {name} counts {UNITS[cls.unit]}; write {cls.unit} in its place ({typed}).")
+    learner = make("learner", LEARNERS, Learner, name, task=task, **params)
+    if "record" not in params:
+        return learner.replace(record=min(learner.record, -(-learner.budget // learner.update_steps)))
+    if learner.record > learner.budget:
+        raise InputError(f"record ({learner.record}) must be at most {learner.unit} ({learner.budget}).")
+    return learner
 
 
 def _kinds(cls: type[Learner]) -> tuple[type[Task], ...]:

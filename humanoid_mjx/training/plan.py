@@ -13,7 +13,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.compute import kept, rng
 from humanoid_mjx.config import Config
 from humanoid_mjx.config.axes import sweep_points
-from humanoid_mjx.learners import Learner, class_for, make_learner
+from humanoid_mjx.learners import Learner, make_learner
 from humanoid_mjx.runs.tables import Labels
 from humanoid_mjx.spec import InputError, Spec, modules_in
 from humanoid_mjx.tasks import make_task
@@ -254,14 +254,6 @@ def build(config: Config, point: Mapping[str, Any]) -> Learner:
     budget = {key: value for key, value in given.items() if value is not None}
     with modules_in(config.modules):
         task = make_task(parts["task"].pop("name"), **parts["task"])
-        unit = class_for(name, task).unit
-    if odd := [key for key in budget if key != unit]:
-        counts = "control steps of all environments" if unit == "total_steps" else "episodes"
-        typed = f"--set {odd[0]}=null --set {unit}=N"
-        raise InputError(f"{odd[0]}: {name} counts {counts}; write {unit} in its place, as {typed} does.")
-    if config.record > budget.get(unit, config.record):
-        raise InputError(f"record ({config.record}) must be at most {unit} ({budget[unit]}).")
-    with modules_in(config.modules):
         return make_learner(name, task, record=config.record, **budget, **parts["learner"])
 
 

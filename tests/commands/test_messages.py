@@ -101,7 +101,7 @@ TYPED = {
     "not; learners for it are brax_ppo, deep_q, linear_q",
     "sweep stand --set learner.name=tabular_q --set episodes=10": "tabular_q learns finite tasks, which stand is not",
     "sweep stand_cpu --set episodes=1000": "episodes: deep_q counts control steps of all environments; write "
-    "total_steps in its place, as --set episodes=null --set total_steps=N does",
+    "total_steps in its place (in commands --set episodes=null --set total_steps=N)",
     "sweep joint1 --set learner.name=deep_q": "write total_steps in its place",
     "sweep stand --set learner.epsilom=1": "and 15 more: humanoid-mjx info deep_q --keys shows them",
     "sweep joint1 --set sweep.axes.learner.discount={linspace:[0,0.9,1000]}": "300,000 points are more than "
