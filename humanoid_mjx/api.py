@@ -8,20 +8,25 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Generic, TypeVar, overload
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Key
 
-from humanoid_mjx.evaluation.policy import find_policy
+from humanoid_mjx.compute.rng import check_key
+from humanoid_mjx.evaluation.policy import check_single, find_policy, save_policy, with_config
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners import rollout as rollouts
 from humanoid_mjx.learners.approximate import ApproximateQ, Weights
 from humanoid_mjx.learners.rollout import Episode
 from humanoid_mjx.learners.tabular import TabularQ
+from humanoid_mjx.spec import InputError, shown
 from humanoid_mjx.tasks.base import Task
+from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
 from humanoid_mjx.training import program
 
@@ -29,7 +34,7 @@ W_co = TypeVar("W_co", covariant=True)
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Policy(Generic[W_co]):
     """A learned policy as a function of an observation: a pytree, to be passed to `jax.jit` and `jax.vmap`."""
 
@@ -47,13 +52,36 @@ class Policy(Generic[W_co]):
 
         Returns:
           The choice of each joint, int (joints,), or commands in [-1, 1], float (joints,): the action that
-          `task.step` or `task.step_continuous` takes.
+          `task.step` or `task.step_continuous` takes. `task.flat_action` makes choices the action of a `FiniteTask`.
         """
+        check_key("policy(obs, key)", key)
+        check_single(self.learner)
+        if isinstance(obs, State):
+            raise InputError("policy: this is a state; write policy(policy.observation(state), key).")
         return _act(self, obs, key)
 
     def observation(self, state: State) -> Array:
         """Return what the policy observes in a state of `task`: `state.obs`, or the row of a table, int ()."""
+        if not isinstance(state, State):  # as those of a FiniteTask are
+            raise InputError(f"policy.observation: take a state of policy.task.reset or .step, got {shown(state)}.")
+        check_single(self.learner)
         return self.learner.observation(state)
+
+    def save(self, path: Path | str) -> None:
+        """Write a policy file, .npz, which `load_policy`, `evaluate`, `play` and `export` read.
+
+        Raises:
+          InputError: it cannot be written there, or the class of the task or learner lies in no module.
+        """
+        if "__main__" in (type(self.learner).__module__, type(self.learner.task).__module__):
+            raise InputError(
+                "policy.save: a class of the program itself cannot be found again; import it from a module."
+            )
+        save_policy(with_config(self.learner, self.weights), Path(path))
+
+    def __repr__(self) -> str:
+        axes = "".join(f"{size:,} x " for size in np.shape(self.learner.budget))
+        return f"Policy({axes}{type(self.learner).__name__} on {type(self.learner.task).__name__})"
 
     @property
     def task(self) -> ContinuousTask:
@@ -62,19 +90,28 @@ class Policy(Generic[W_co]):
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trained(Generic[W_co]):
     """Result of `train`. Under `jax.vmap` every array has leading axes."""
 
     policy: Policy[W_co]
     curve: dict[str, Float[Array, "*runs record"]]
     """Learning curve by name, such as `success`, `return` and `steps`: means over the episodes that ended in each of
-    `learner.record` equal parts of training, NaN where none ended."""
+    `learner.record` equal parts of training, NaN where none ended; `greedy_...`: NaN but at each evaluation."""
     scores: dict[str, Array]
     """`greedy_success`, `greedy_return`, `greedy_steps`: means over `learner.evaluation_envs` greedy episodes; and
     `diverged`: True if training stopped before numbers that are not finite."""
     carry: object
     """The final training state, with which `learner.train_step` goes on."""
+
+    def __repr__(self) -> str:
+        return f"Trained({self.policy}; curve: {', '.join(self.curve)}; scores: {', '.join(self.scores)})"
+
+    @property
+    def places(self) -> Float[Array, "*runs record"]:
+        """Episodes or control steps, as `learner.unit` says, trained by the end of each entry of `curve`."""
+        learner = self.policy.learner
+        return jnp.asarray(learner.budget)[..., None] * jnp.arange(1, learner.record + 1) / learner.record
 
 
 @overload
@@ -97,9 +134,18 @@ def train(learner: Learner, key: Key[Array, ""]) -> Trained[Any]:
       key: `humanoid_mjx.key(seed)`, or any key of `jax.random`, whose generator is slower.
 
     Returns:
-      The policy, the learning curve and scores of greedy episodes. Nothing is raised: numbers that are not finite stop
-      the training and set `scores["diverged"]`.
+      The policy, the learning curve and scores of greedy episodes. Numbers that are not finite stop the training and
+      set `scores["diverged"]`.
+
+    Raises:
+      InputError: no learner, no key, or a fault in a task of one's own (`check_task`).
     """
+    if not isinstance(learner, Learner):
+        raise InputError(
+            f"train: write train(learner, key(0)); {type(learner).__name__} is no learner of make_learner."
+        )
+    check_key("train", key)
+    check_task(learner.task)
     return _train(learner, key)
 
 
@@ -134,23 +180,41 @@ def rollout(
 
     Returns:
       Scalars `success`, `episode_return`, `steps`, `discounted_return`.
+
+    Raises:
+      InputError: an argument of another kind, or an action of another shape or dtype; its values are not checked.
     """
-    observes = Partial(_by_policy, policy) if isinstance(policy, Policy) else Partial(_by_function, Partial(policy))
-    return _rollout(as_continuous(task), observes, key, discount)
+    if not isinstance(task, Task) or not callable(policy):
+        kinds = f"{type(task).__name__} and {type(policy).__name__}"
+        raise InputError(f"rollout: write rollout(task, policy or function, key(0)); the first two are {kinds}.")
+    check_key("rollout", key)
+    return _rollout(task, policy if isinstance(policy, Policy) else Partial(policy), key, discount)
 
 
-def _by_policy(policy: Policy[Any], state: State, key: Key[Array, ""]) -> Array:
-    return policy(policy.observation(state), key)
+@jax.jit
+def _rollout(task: Task, policy: Policy[Any] | Partial, key: Key[Array, ""], discount: float | Array) -> Episode:
+    env = as_continuous(task)
+
+    def choose(state: State, key: Key[Array, ""]) -> Array:
+        if isinstance(policy, Policy):
+            return policy(policy.observation(state), key)
+        return _checked(policy(state.obs, key), env.action_bins, env is task)
+
+    return rollouts.rollout(env, choose, key, discount)
 
 
-def _by_function(policy: Partial, state: State, key: Key[Array, ""]) -> Array:
-    return policy(state.obs, key)
+def _checked(action: Any, bins: tuple[int, ...], commands: bool) -> Array:
+    """Return an action if it has the shape and the dtype of choices, or of `commands` where these are allowed."""
+    action = jnp.asarray(action)
+    allowed = commands if jnp.issubdtype(action.dtype, jnp.floating) else jnp.issubdtype(action.dtype, jnp.integer)
+    if action.shape != (len(bins),) or not allowed:
+        kinds = f"integers at least 0 and below {list(bins)}" + ", or numbers from -1 to 1" * commands
+        got = f"{action.dtype}{list(action.shape)}"
+        raise InputError(f"rollout: the policy must return {kinds}, of shape ({len(bins)},); got {got}.")
+    return action
 
 
-_rollout = jax.jit(rollouts.rollout)
-
-
-def load_policy(name: str, point: int | None = None) -> Policy[object]:
+def load_policy(name: Path | str, point: int | None = None) -> Policy[object]:
     """Return a policy as a function of an observation and a key.
 
     Args:

@@ -15,11 +15,13 @@ import pytest
 from finite_mdp import random_task
 
 import humanoid_mjx
-from humanoid_mjx import InputError, key, load_policy, make_learner, make_task, rollout, train
+from humanoid_mjx import InputError, Policy, key, load_policy, make_learner, make_task, rollout, train
+from humanoid_mjx.evaluation.policy import with_config
 from humanoid_mjx.learners.rollout import greedy
 from humanoid_mjx.learners.rollout import rollout as rollout_of_states
 from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.tasks.finite import Rules
+from humanoid_mjx.training.plan import build
 from humanoid_mjx.training.program import run_key
 from humanoid_mjx.training.state import to_arrays
 
@@ -131,6 +133,156 @@ def test_a_shipped_policy_is_a_function():
     assert action.shape == (10,) and set(np.unique(action)) <= {0, 1, 2}
     with pytest.raises(InputError, match="neither a run folder nor a policy"):
         load_policy("stnad")
+
+
+CORRIDOR = """
+from typing import ClassVar
+import jax.numpy as jnp
+from humanoid_mjx import FiniteTask, traced
+
+class Corridor(FiniteTask):
+    num_states: ClassVar[int] = 4
+    num_actions: ClassVar[int] = 2
+    bonus: float = traced(0.1)
+
+    def reset(self, key):
+        return jnp.int32(0)
+
+    def step(self, state, action, key):
+        state = jnp.clip(state + 2 * action - 1, 0, 3)
+        return state, self.bonus * (state == 3), state == 3
+"""
+
+
+def test_a_policy_of_train_is_evaluated_saved_and_read_again(tmp_path, monkeypatch):
+    """With a task of one's own, whose module is found again from its folder."""
+    (tmp_path / "corridor_of_api.py").write_text(CORRIDOR)
+    monkeypatch.syspath_prepend(tmp_path)
+    task = make_task("corridor_of_api:Corridor", max_episode_steps=40)
+    learner = make_learner("tabular_q", task, episodes=50, epsilon_decay=0.9).replace(epsilon=0.3)
+    trained = train(learner, key(0))
+    played = [humanoid_mjx.evaluate(each, episodes=4)["greedy"].steps for each in (trained, trained.policy)]
+    assert played[0].value == played[1].value == 3
+    trained.policy.save(tmp_path / "mine.npz")
+    again = load_policy(tmp_path / "mine.npz")
+    np.testing.assert_array_equal(again.weights, trained.policy.weights)
+    same = jax.tree.map(np.array_equal, again.learner, jax.tree.map(jnp.asarray, learner))
+    assert all(jax.tree.leaves(same)) and again.learner.episodes == 50
+    assert humanoid_mjx.evaluate(tmp_path / "mine.npz", episodes=4)["greedy"].steps.value == 3
+
+
+@pytest.mark.parametrize("name", ["leg_reach", "squat", "walk"])
+def test_a_learner_has_a_config_that_makes_it_again(name):
+    learner = make_learner("deep_q", make_task(name), total_steps=1000).replace(learning_rate=np.float32(0.1))
+    again = build(with_config(learner, None).config, {})
+    assert jax.tree.structure(again) == jax.tree.structure(learner) and again.record == learner.record
+    np.testing.assert_array_equal(*(np.float32(jax.tree.leaves(each)) for each in (again, learner)))
+
+
+def test_a_short_training_records_as_much_as_it_has():
+    def known(name, **values):
+        learner = make_learner(name, TASK, **values)
+        curve = train(learner, key(0)).curve
+        return learner.record, int(np.isfinite(curve["steps"]).sum())
+
+    assert known("tabular_q", episodes=50) == (50, 50)
+    assert known("tabular_q", episodes=50, record=10) == (10, 10)
+    # 20 updates of 512 steps; in the first few no episode ends.
+    record, entries = known("deep_q", total_steps=10_000, envs=32, width=8, layers=1, evaluations=1)
+    assert record == 20 and entries >= 15
+    assert make_learner("tabular_q", TASK).record == 100
+
+
+def test_entries_of_a_curve_have_places(grid):
+    assert grid.places.shape == (2, 3, 10) and grid.places[0, 0].tolist() == list(range(6, 61, 6))
+
+
+def test_one_loop_plays_finite_and_continuous_tasks():
+    linear = make_learner("linear_q", make_task("leg_reach", physics="mujoco"))
+    weights = jax.eval_shape(lambda: linear.policy(linear.init(key(0))))
+    blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), weights)
+    for policy in (train(TABLE, key(0)).policy, Policy(linear, blank)):
+        state = policy.task.reset(key(0))
+        for number in range(2):
+            action = policy(policy.observation(state), key(number))
+            state = policy.task.step(state, action, key(number))
+        assert action.shape == (len(policy.task.action_bins),) and state.obs.shape == (policy.task.observation_size,)
+
+
+WRONG = {
+    "key(0.5)": "key: the seed must be an integer from -2**31 to 2**32 - 1, got 0.5.",
+    "key(2**40)": "got 1099511627776.",
+    "train(table, 3)": "train: the last argument must be a key of jax.random, got 3; pass key(3).",
+    "policy(0, 0)": "policy(obs, key): the last argument must be a key of jax.random, got 0; pass key(0).",
+    "rollout(task, policy, 0)": "rollout: the last argument must be a key of jax.random",
+    "train(table, jax.random.split(key(0), 3))": "train: there must be one key, got keys of shape (3,); map over them",
+    "train(task, key(0))": "train: write train(learner, key(0)); JointReach is no learner of make_learner.",
+    "train(key(0), table)": "train: write train(learner, key(0)); PRNGKeyArray is no learner of make_learner.",
+    "rollout(policy, task, key(0))": "the first two are Policy and JointReach.",
+    "rollout(task, lambda obs, key: jnp.int32(7), key(0))": "below [2], of shape (1,); got int32[].",
+    "rollout(task, lambda obs, key: jnp.zeros(2, int), key(0))": "below [2], of shape (1,); got int32[2].",
+    "rollout(task, lambda obs, key: jnp.zeros(1), key(0))": "below [2], of shape (1,); got float32[1].",
+    "rollout(reach, lambda obs, key: jnp.zeros(2), key(0))": "or numbers from -1 to 1, of shape (5,); got float32[2].",
+    "policy(policy.task.reset(key(0)), key(0))": "write policy(policy.observation(state), key).",
+    "policy.observation(task.reset(key(0)))": "policy.observation: take a state of policy.task.reset or .step, got",
+    "make_learner('tabular_q', 'joint_reach')": "got 'joint_reach'; pass make_task('joint_reach').",
+    "make_learner('tabular_q', type(task))": "pass JointReach(...).",
+    "make_task(type(task))": '; write "humanoid_mjx.tasks.joint_reach:JointReach", or JointReach(...).',
+    "make_learner('tabular_q', task, total_steps=9)": "total_steps: tabular_q counts episodes; write episodes in its",
+    "make_learner('deep_q', task, episodes=9)": "episodes: deep_q counts control steps of all environments; write",
+    "make_learner('tabular_q', task, episodes=50, record=60)": "record (60) must be at most episodes (50).",
+    "jax.vmap(lambda e: make_learner('tabular_q', task, epsilon=e).epsilon)(jnp.ones(2))": "learner.epsilon must be a "
+    "number, got VmapTracer(aval=float32[], batched=float32[2]); build with a number, then .replace(epsilon=...) takes",
+    "table.replace(epsilom=0.1)": "TabularQ.replace: epsilom: unknown field; did you mean 'epsilon'?",
+    "jax.vmap(lambda n: table.replace(agents=n).epsilon)(jnp.arange(2))": "TabularQ.replace: agents is static: it",
+    "table.replace(method='sarssa')": "TabularQ.replace: method must be one of q_learning, sarsa, expected_sarsa",
+    "load_policy(None)": "a policy is named by a run folder, a policy file or a shipped name, got None.",
+    "humanoid_mjx.evaluate(None)": "a policy is named by a run folder, a policy file or a shipped name, got None.",
+    "humanoid_mjx.sweep(None)": "sweep: config must be a config, its name or path, or a mapping of its keys, got None.",
+    "humanoid_mjx.play(policy)": "moves no robot",
+}
+PROGRAM = """
+import json, sys
+import jax, jax.numpy as jnp
+import humanoid_mjx
+from humanoid_mjx import InputError, Policy, key, load_policy, make_learner, make_task, rollout, train
+
+task, reach = make_task("joint_reach", joint=4, states=8, max_episode_steps=50), make_task("leg_reach")
+table = make_learner("tabular_q", task, episodes=5)
+policy = train(table, key(0)).policy
+for call in json.load(sys.stdin):
+    try:
+        print(json.dumps(repr(eval(call))))
+    except InputError as error:
+        print(json.dumps("InputError: " + str(error)))
+"""
+
+
+def test_a_wrong_argument_gets_one_sentence():
+    """In a program without the checks of types that the tests have."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    words = {"input": json.dumps(list(WRONG)), "capture_output": True, "text": True, "env": environment}
+    done = subprocess.run([sys.executable, "-c", PROGRAM], check=False, **words)
+    assert done.returncode == 0, done.stderr
+    for (call, says), said in zip(WRONG.items(), map(json.loads, done.stdout.splitlines()), strict=True):
+        assert said.startswith("InputError: ") and says in said and "\n" not in said and said[-1] == ".", (call, said)
+
+
+def test_policies_side_by_side_are_not_one(grid):
+    chosen = jax.tree.map(lambda x: x[1], grid.policy)
+    for call in (
+        lambda: rollout(EXACT.task, chosen, key(0)),
+        lambda: chosen(jnp.int32(0), key(0)),
+        lambda: humanoid_mjx.evaluate(chosen),
+    ):
+        with pytest.raises(
+            InputError, match=r"of shape \(3,\); choose one by jax.tree.map\(lambda x: x\[0\], policy\)"
+        ):
+            call()
+    assert repr(grid) == (
+        "Trained(Policy(2 x 3 x TabularQ on TableTask); curve: return, steps, success; "
+        "scores: diverged, greedy_return, greedy_steps, greedy_success)"
+    )
 
 
 def test_the_face_names_what_it_has():

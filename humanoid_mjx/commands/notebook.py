@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world, on_native
+from humanoid_mjx.api import Policy, Trained
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world, on_native, with_config
 from humanoid_mjx.report.web import MEDIA, data_address
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.statistics import Evaluation
@@ -36,8 +37,8 @@ def load_run(path: Path | str) -> Run:
     Raises:
       InputError: this is no run folder.
     """
-    read_config(Path(path))
-    return Run(Path(path))
+    read_config(_folder(path))
+    return Run(_folder(path))
 
 
 def draw(run: Run | Path | str) -> list[Picture]:
@@ -53,7 +54,7 @@ def draw(run: Run | Path | str) -> list[Picture]:
 
 
 def evaluate(
-    what: Run | StoredPolicy | Path | str,
+    what: Run | StoredPolicy | Policy | Trained | Path | str,
     *,
     point: int | None = None,
     episodes: int = 1024,
@@ -63,7 +64,7 @@ def evaluate(
     """Evaluate a policy on held-out episodes.
 
     Args:
-      what: a run or its folder, a policy file, or the name of a shipped policy.
+      what: a run or its folder, a policy file, the name of a shipped policy, or what `train` returns.
       point: the point of a run's sweep; by default the best.
       episodes: how many each agent plays.
       physics: another physics than that of training, such as `mujoco`.
@@ -102,7 +103,7 @@ def plot(
 
 
 def play(
-    what: Run | StoredPolicy | Path | str,
+    what: Run | StoredPolicy | Policy | Trained | Path | str,
     *,
     point: int | None = None,
     episode: int = 0,
@@ -128,7 +129,7 @@ def play(
 
 
 def film(
-    what: Run | StoredPolicy | Path | str,
+    what: Run | StoredPolicy | Policy | Trained | Path | str,
     reporter: Reporter,
     point: int | None,
     episode: int,
@@ -141,11 +142,11 @@ def film(
     from humanoid_mjx.evaluation.film import show
     from humanoid_mjx.report.rendering import render_film
 
-    trained, run = _policy(what, point, physics, overrides), None if isinstance(what, StoredPolicy) else _folder(what)
+    trained = _policy(what, point, physics, overrides)
     trained = trained if physics else on_native(trained)
     (shown, outcome), target = show(trained, reporter, episode), Path(out or f"{trained.name}.gif")
-    if out is None and run is not None and run.is_dir():
-        target = run / "figures" / "play.gif"
+    if out is None and isinstance(what, (Run, Path, str)) and _folder(what).is_dir():
+        target = _folder(what) / "figures" / "play.gif"
         target.parent.mkdir(exist_ok=True)
         check_folder(target)
     reporter.phase("rendering")
@@ -154,10 +155,15 @@ def film(
 
 
 def _policy(
-    what: Run | StoredPolicy | Path | str, point: int | None, physics: str | None, overrides: Sequence[str]
+    what: Run | StoredPolicy | Policy | Trained | Path | str,
+    point: int | None,
+    physics: str | None,
+    overrides: Sequence[str],
 ) -> StoredPolicy:
-    trained = what if isinstance(what, StoredPolicy) else find_policy(str(_folder(what)), point)
-    return in_world(trained, physics, overrides)
+    what = what.policy if isinstance(what, Trained) else what.path if isinstance(what, Run) else what
+    if isinstance(what, Policy):
+        what = with_config(what.learner, what.weights)
+    return in_world(what if isinstance(what, StoredPolicy) else find_policy(what, point), physics, overrides)
 
 
 def _folder(what: object) -> Path:

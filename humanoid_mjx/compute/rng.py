@@ -17,6 +17,8 @@ import numpy as np
 from jax.extend.random import define_prng_impl
 from jaxtyping import Array, Float, Int32, Key, UInt32
 
+from humanoid_mjx.spec import InputError, shown
+
 _GOLDEN = np.uint32(0x9E3779B9)
 _DRAW, _SPLIT, _FOLD = np.uint32(0), np.uint32(0x632BE5AB), np.uint32(0xC2B2AE35)
 
@@ -61,8 +63,21 @@ FAST = define_prng_impl(
 
 
 def key(seed: int | Array) -> Key[Array, ""]:
-    """A key of the cheap generator, for every function of `jax.random`."""
+    """A key of the cheap generator, for every function of `jax.random`. InputError: no 32-bit integer."""
+    number = isinstance(seed, (int, np.integer))
+    if not (-(2**31) <= seed < 2**32 if number else jnp.issubdtype(getattr(seed, "dtype", float), np.integer)):
+        raise InputError(f"key: the seed must be an integer from -2**31 to 2**32 - 1, got {shown(seed)}.")
     return jax.random.key(seed, impl=FAST)
+
+
+def check_key(what: str, key: Any) -> None:
+    """Raise an InputError unless this is one key, of `jax.random.key` or `jax.random.PRNGKey`."""
+    dtype = getattr(key, "dtype", np.dtype(float))
+    if dtype != np.uint32 and not jnp.issubdtype(dtype, jax.dtypes.prng_key):
+        seed = key if isinstance(key, int) else 0
+        raise InputError(f"{what}: the last argument must be a key of jax.random, got {shown(key)}; pass key({seed}).")
+    if len(key.shape) != (dtype == np.uint32):
+        raise InputError(f"{what}: there must be one key, got keys of shape {key.shape}; map over them by jax.vmap.")
 
 
 def uniform(key: Key[Array, ""], number: UInt32[Array, ""]) -> Float[Array, ""]:

@@ -5,6 +5,7 @@ where it comes from; and the policy's arrays by their paths. It holds no Python 
 """
 
 import json
+import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from copy import deepcopy
@@ -16,16 +17,18 @@ import jax.numpy as jnp
 import numpy as np
 import pydantic
 
+from humanoid_mjx.compute import made_by
 from humanoid_mjx.config import Config, apply_override, check_overrides, parse
 from humanoid_mjx.files import folder, kind_of, meant, names, refusing, whole_file
-from humanoid_mjx.learners import Learner
+from humanoid_mjx.learners import LEARNERS, Learner
 from humanoid_mjx.robot import ROBOTS
 from humanoid_mjx.runs.archive import HEADER, check_finite, read_archive
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import WHOLE, finished_runs, scores
-from humanoid_mjx.spec import InputError, check_folder, known, sentence
-from humanoid_mjx.training.plan import MAX_RUNS, at_point, make_plan, points_of, resolved
+from humanoid_mjx.spec import InputError, check_folder, known, sentence, shown
+from humanoid_mjx.tasks import TASKS, name_of
+from humanoid_mjx.training.plan import MAX_RUNS, at_point, build, make_plan, points_of, resolved
 from humanoid_mjx.training.state import from_arrays, to_arrays
 
 FORMAT = "humanoid_mjx policy, version 1"
@@ -85,13 +88,49 @@ class StoredPolicy(NamedTuple):
         return place | {"config": resolved(self.config), "origin": self.origin}
 
 
-def find_policy(name: str, point: int | None = None) -> StoredPolicy:
+def check_single(learner: Learner) -> None:
+    """Raise an InputError if a `jax.vmap` has stacked learners: their length of training has axes."""
+    if axes := np.shape(learner.budget):
+        one = f"jax.tree.map(lambda x: x[{', '.join('0' * len(axes))}], policy)"
+        raise InputError(f"policy: these are policies of shape {axes}; choose one by {one}, or map by jax.vmap.")
+
+
+def with_config(learner: Learner, policy: Any) -> StoredPolicy:
+    """Give a policy that was trained without a config the config of its learner and task.
+
+    Raises:
+      InputError: a class that no import path names, or a value that a config cannot have.
+    """
+    check_single(learner)
+    plain = jax.tree.map(_plain, learner)
+    data: dict[str, Any] = {"name": name_of(plain.task), "record": plain.record, plain.unit: plain.budget}
+    for part, spec, registry in (("task", plain.task, TASKS), ("learner", plain, LEARNERS)):
+        path = f"{type(spec).__module__}:{type(spec).__qualname__}"
+        data[part] = spec.model_dump(mode="json") | {"name": {p: name for name, p in registry.items()}.get(path, path)}
+        module = sys.modules[type(spec).__module__]
+        if path not in registry.values() and (file := getattr(module, "__file__", None)):
+            data["modules"] = str(Path(file).resolve().parents[module.__name__.count(".")])
+    config = parse(data, data["name"])
+    build(config, {})
+    return StoredPolicy(learner, policy, 0, 0, config.name, config, {"scores": {}, "provenance": made_by()})
+
+
+def _plain(x: Any) -> Any:
+    """A number as Python has it, a float by its shortest decimals, or a list of numbers."""
+    x = np.asarray(x)
+    return [_plain(each) for each in x] if x.ndim else float(str(x[()])) if x.dtype.kind == "f" else x.item()
+
+
+def find_policy(name: Path | str, point: int | None = None) -> StoredPolicy:
     """The best policy of a run folder, or of one point of its sweep; that of a file; the shipped one of this name; or
     none but the servo of the robot of this name or YAML (`evaluation.rest`).
 
     Raises:
       InputError: there is nothing of the kind, or it cannot be read; `point` is given for what is no run folder.
     """
+    if not isinstance(name, (str, Path)):
+        raise InputError(f"a policy is named by a run folder, a policy file or a shipped name, got {shown(name)}.")
+    name = str(name)
     path, shipped = Path(name), folder("policies") / f"{name}.npz"
     if path.is_dir():
         return best_policy(path, point)

@@ -137,6 +137,8 @@ def sweep(
         raise InputError("sweep: overrides are for a config given by path or name; change these values themselves.")
     elif isinstance(config, Mapping):
         config = parse(dict(config))
+    elif not isinstance(config, Config):
+        raise InputError(f"sweep: config must be a config, its name or path, or a mapping of its keys, got {config!r}.")
     plan = make_plan(config)
     with (
         closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,

@@ -186,8 +186,11 @@ SLIPS = {
         "layers: int = 1",
         "layers: int = 1\n\n    def q_values(self, value, obs):\n        return oops",
     ): "NameError: name 'oops' is not defined ({0}.py, line 35: return oops)",
-    (") - 1.0\n", ") - 1.0 + jnp.log(-1.0 - place[0])\n"): "Hop has a reward that is not finite in step 1 of a trial",
-    (", there, place, {", ", there, place / 0, {"): "Hop has a final_obs that is not finite in step 1 of a trial",
+    (
+        ") - 1.0\n",
+        ") - 1.0 + jnp.log(-1.0 - place[0])\n",
+    ): "Hop has a reward that is not finite in step 1 of 8 times 64",
+    (", there, place, {", ", there, place / 0, {"): "Hop has a final_obs that is not finite in step 1 of 8 times 64",
 }
 
 

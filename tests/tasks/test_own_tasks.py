@@ -15,7 +15,7 @@ from command_line import told
 from hop import Hop
 
 import humanoid_mjx
-from humanoid_mjx import InputError, spec
+from humanoid_mjx import FiniteTask, InputError, key, make_learner, make_task, spec, train
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.continuous import ContinuousTask
@@ -205,6 +205,62 @@ class OfTheirOwn(Hop):
         return state.data[0] + None
 
 
-def test_errors_of_other_kinds_are_left_as_they_are():
-    with pytest.raises(TypeError, match="NoneType"):
-        check_task(OfTheirOwn())
+class NotFinite(Hop):
+    def step(self, state, action, key):
+        return super().step(state, action, key)._replace(reward=jnp.float32(jnp.nan))
+
+
+class Row(FiniteTask):
+    """Moves to the right without an end; its table has three rows."""
+
+    num_states: ClassVar = 3
+    num_actions: ClassVar = 2
+
+    def reset(self, key):
+        return jnp.int32(0)
+
+    def step(self, state, action, key):
+        return state + action, 1.0, jnp.bool_(False)
+
+
+class FloatRow(Row):
+    def reset(self, key):
+        return 0.0
+
+    def state_index(self, state):  # without the types that tests check
+        return state
+
+
+class Ring(Row):
+    def step(self, state, action, key):
+        return (state + action) % 3, 0.5, jnp.bool_(False)
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    {
+        OfTheirOwn: r"OfTheirOwn cannot be used: TypeError: .* \(test_own_tasks.py, line \d+: return state.* None\)\.",
+        NoStep: FAULTS[NoStep],
+        NotFinite: r"NotFinite has a reward that is not finite in step 1 of 8 times 64 random actions\.",
+        Row: r"Row has a state whose row is outside 0 to 2 in step \d+ of",
+        FloatRow: r"FloatRow: the row of a state must be an integer, got float32\[\]",
+    }.items(),
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_train_and_check_task_say_the_same(fault, says):
+    learner = make_learner("tabular_q" if issubclass(fault, Row) else "deep_q", fault())
+    seeds = jax.vmap(key)(jnp.arange(2))
+    for start in (
+        lambda: check_task(fault()),
+        lambda: train(learner, key(0)),
+        lambda: jax.vmap(train, (None, 0))(learner, seeds),
+    ):
+        with pytest.raises(InputError, match=says) as caught:
+            start()
+        assert "\n" not in str(caught.value)
+
+
+def test_a_trial_says_whether_episodes_end():
+    assert check_task(Ring()) == "Ring: in 8 times 64 random actions no episode ended, with rewards from 0.5 to 0.5."
+    assert " episodes ended, with rewards from " in check_task(Hop())
+    assert check_task(make_task("joint_reach")) == ""
