@@ -10,13 +10,15 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import linen as nn
+from flax.errors import FlaxError
 from jaxtyping import Array, Float, Key
 from pydantic import Field, model_validator
 
 from humanoid_mjx.learners.approximate import ApproximateQ, Batch, Weights, chosen
 from humanoid_mjx.learners.normalisation import normalise
-from humanoid_mjx.spec import traced
+from humanoid_mjx.spec import InputError, traced
 from humanoid_mjx.types import FloatScalar
+from humanoid_mjx.user_code import in_words
 
 PARTS = 8
 """Parts of a minibatch whose gradients of small arrays are summed apart on a GPU, which sums over many rows slowly."""
@@ -73,11 +75,26 @@ class DeepQ(ApproximateQ):
         return self
 
     def network(self) -> nn.Module:
-        """Return the module from observations, (..., size), to values of choices, (..., joints, bins)."""
+        """Return the module from observations, (..., size), to values of choices, (..., joints, bins).
+
+        It has parameters, but neither a state, as of BatchNorm, nor random numbers, as of Dropout.
+        """
         return QNetwork(self.width, self.layers, len(self.env.action_bins), self.bins, self.precision)
 
     def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
-        value = self.network().init(key, jnp.zeros(self.env.observation_size))
+        shape, obs = (len(self.env.action_bins), self.bins), jnp.zeros(self.env.observation_size)
+        try:
+            value = self.network().init(key, obs)
+            found = (
+                jax.eval_shape(self.network().apply, value, obs[None]).shape[1:],
+                *(kind for kind in value if kind != "params"),
+            )
+        except (AttributeError, TypeError, FlaxError) as error:
+            found = (in_words(error),)
+        if found != (shape,):
+            wanted = f"a Flax module from (..., {len(obs)}) to (..., joints, bins), here (..., {shape[0]}, {shape[1]})"
+            got = ", ".join(map(str, found))
+            raise InputError(f"{type(self).__name__}.network() must return {wanted}, without state; got {got}.")
         return value, self._optimizer(0.0).init(value)
 
     def preprocess(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:

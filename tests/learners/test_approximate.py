@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import linen as nn
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax.sharding import Mesh, PartitionSpec
@@ -26,7 +27,7 @@ from humanoid_mjx.learners import acting, exploration
 from humanoid_mjx.learners.acting import start_all, step_all
 from humanoid_mjx.learners.approximate import Batch
 from humanoid_mjx.learners.base import ENVS
-from humanoid_mjx.learners.deep import QNetwork
+from humanoid_mjx.learners.deep import DeepQ, QNetwork
 from humanoid_mjx.learners.features import Scale, combined, tile_coding
 from humanoid_mjx.learners.linear import LinearQ
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
@@ -595,3 +596,47 @@ def test_networks_learn_on_a_gpu_as_on_a_cpu(monkeypatch):
     for old, new, same in zip(*map(jax.tree.leaves, (value, one, two)), strict=True):
         assert np.abs(new - old).max() > 1e-4
         np.testing.assert_allclose(same, new, rtol=1e-4, atol=1e-6)
+
+
+class Plain(nn.Module):
+    @nn.compact
+    def __call__(self, obs):
+        return nn.Dense(2)(obs)
+
+
+class Normed(nn.Module):
+    fixed: bool
+
+    @nn.compact
+    def __call__(self, obs):
+        return nn.BatchNorm(use_running_average=self.fixed)(nn.Dense(2)(obs))[..., None, :]
+
+
+class Dropping(nn.Module):
+    @nn.compact
+    def __call__(self, obs):
+        return nn.Dropout(0.5, deterministic=False)(nn.Dense(2)(obs))[..., None, :]
+
+
+@pytest.mark.parametrize(
+    ("module", "got"),
+    [
+        (None, "got AttributeError: 'NoneType' object has no attribute 'init'"),
+        (Plain(), "got (2,)."),
+        (Normed(False), "got ModifyScopeVariableError: "),
+        (Normed(True), "got (1, 2), batch_stats."),
+        (Dropping(), "got InvalidRngError: "),
+    ],
+    ids=str,
+)
+def test_a_network_of_ones_own_that_does_not_fit_gets_one_sentence(module, got):
+    class OwnQ(DeepQ):
+        network = lambda self: module  # noqa: E731
+
+    with pytest.raises(InputError) as caught:
+        jax.eval_shape(OwnQ(task=make_task("joint_reach")).init, rng.key(0))
+    said = str(caught.value)
+    assert said.startswith(
+        "OwnQ.network() must return a Flax module from (..., 1) to (..., joints, bins), here (..., 1, 2)"
+    )
+    assert got in said and "\n" not in said
