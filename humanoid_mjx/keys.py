@@ -28,9 +28,10 @@ def keys_of(cls: type[Spec], prefix: str, branch: Spec | None = None) -> Iterato
     `branch` is the default of a nested Spec.
     """
     for name, field in cls.model_fields.items():
-        if field.exclude:
+        if field.exclude and not field.description:  # set by no user
             continue
-        dotted, default = f"{prefix}.{name}", getattr(branch, name) if branch else field.default
+        dotted = name if field.exclude else f"{prefix}.{name}"  # those excluded stand at the top level of a config
+        default = getattr(branch, name) if branch else field.default
         if isinstance(default, Spec):
             named = getattr(default, "name", "")
             yield Key(dotted, str(named), "keys below", False, _meaning(cls, name))
