@@ -45,9 +45,11 @@ def interval(
     """The 95 % interval of the median over the first axis, within the values that are possible.
 
     Its ends are two of the sorted values, interpolated (T. Hettmansperger and S. Sheather, 1986); of five values they
-    are the least and the greatest, of fewer they lie beyond (`WIDER`). Of a single value it is the value.
+    are the least and the greatest, of fewer they lie beyond (`WIDER`). Of a single value it is the value. With a NaN
+    it is NaN, as the median is.
     """
     n, ordered = len(values), np.sort(np.asarray(values, float), axis=0)
+    ordered = np.where(np.isnan(ordered[-1]), np.nan, ordered)
     # Share of samples whose median lies below their k-th smallest value or above their k-th largest one.
     outside = 2 * np.cumsum([comb(n, i) / 2**n for i in range(n // 2 + 1)])
     if n < 2 or outside[0] > ERROR:

@@ -198,3 +198,11 @@ def test_a_sweep_that_is_not_over_compares_what_is():
         table = best_table(axes, part, points, True, found)[1]
         assert len(table) == rows and "nan" not in str(table) and "nan" not in in_words(axes, points, found)
         assert 1 not in found.policy.as_good and found.complete in (0, 3)
+
+
+def test_a_seed_that_is_missing_leaves_no_interval():
+    """In its place the least and the greatest of the others would seem known."""
+    one, other = np.array([1.0, np.nan, 3.0, 4.0, 5.0, 6.0]), np.zeros(6)
+    assert np.isnan(difference(one, other)).all()
+    low, high = interval(np.stack([one, other], axis=1))
+    assert np.isnan(low).tolist() == np.isnan(high).tolist() == [True, False]
