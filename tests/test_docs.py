@@ -74,7 +74,7 @@ def test_the_notebook_holds_what_its_page_runs():
     assert text == build.notebook()
     cells = ["".join(cell["source"]) for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
     run = [block.text.strip() for block in blocks(TEXTS["docs/ten_lines.md"]) if not block.title]
-    assert cells == run and len(cells) == 4
+    assert cells == run and len(cells) == 6
 
 
 RUN = [name for name in TYPED if re.search(r"```python|title=", TEXTS[name]) and name not in COMMANDS_ONLY]
