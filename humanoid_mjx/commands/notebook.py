@@ -154,12 +154,7 @@ def film(
     return Picture(target, outcome)
 
 
-def _policy(
-    what: Run | StoredPolicy | Policy | Trained | Path | str,
-    point: int | None,
-    physics: str | None,
-    overrides: Sequence[str],
-) -> StoredPolicy:
+def _policy(what: Any, point: int | None, physics: str | None, overrides: Sequence[str]) -> StoredPolicy:
     what = what.policy if isinstance(what, Trained) else what.path if isinstance(what, Run) else what
     if isinstance(what, Policy):
         what = with_config(what.learner, what.weights)

@@ -106,7 +106,7 @@ def with_config(learner: Learner, policy: Any) -> StoredPolicy:
     data: dict[str, Any] = {"name": name_of(plain.task), "record": plain.record, plain.unit: plain.budget}
     for part, spec, registry in (("task", plain.task, TASKS), ("learner", plain, LEARNERS)):
         path = f"{type(spec).__module__}:{type(spec).__qualname__}"
-        data[part] = spec.model_dump(mode="json") | {"name": {p: name for name, p in registry.items()}.get(path, path)}
+        data[part] = spec.model_dump() | {"name": {p: name for name, p in registry.items()}.get(path, path)}
         module = sys.modules[type(spec).__module__]
         if path not in registry.values() and (file := getattr(module, "__file__", None)):
             data["modules"] = str(Path(file).resolve().parents[module.__name__.count(".")])

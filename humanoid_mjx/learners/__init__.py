@@ -21,9 +21,6 @@ LEARNERS = {
     "tabular_q": "humanoid_mjx.learners.tabular:TabularQ",
 }
 
-UNITS = {"episodes": "episodes", "total_steps": "control steps of all environments"}
-"""Units of the length of training, in words."""
-
 
 @overload
 def make_learner(name: Literal["brax_ppo"], /, task: Task, **params: Any) -> "BraxPPO": ...
@@ -54,9 +51,10 @@ def make_learner(name: str, /, task: Task, **params: Any) -> Learner:
         kinds = " or ".join(kind.__name__.removesuffix("Task").lower() for kind in wanted)
         no = f"{name} learns {kinds} tasks, which {name_of(task)} is not"
         raise InputError(f"learner.name: {no}; learners for it are {fit}.")
-    if odd := [unit for unit in UNITS if unit in params and unit not in cls.model_fields]:
+    if odd := [unit for unit in ("episodes", "total_steps") if unit in params and unit not in cls.model_fields]:
+        counts = "episodes" if cls.unit == "episodes" else "control steps of all environments"
         typed = f"in commands --set {odd[0]}=null --set {cls.unit}=N"
-        raise InputError(f"{odd[0]}: {name} counts {UNITS[cls.unit]}; write {cls.unit} in its place ({typed}).")
+        raise InputError(f"{odd[0]}: {name} counts {counts}; write {cls.unit} in its place ({typed}).")
     learner = make("learner", LEARNERS, Learner, name, task=task, **params)
     if "record" not in params:
         return learner.replace(record=min(learner.record, -(-learner.budget // learner.update_steps)))

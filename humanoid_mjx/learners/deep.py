@@ -77,7 +77,7 @@ class DeepQ(ApproximateQ):
     def network(self) -> nn.Module:
         """Return the module from observations, (..., size), to values of choices, (..., joints, bins).
 
-        It has parameters, but neither a state, as of BatchNorm, nor random numbers, as of Dropout.
+        It has parameters, but no state, as BatchNorm has, and takes no random numbers, as Dropout does.
         """
         return QNetwork(self.width, self.layers, len(self.env.action_bins), self.bins, self.precision)
 
@@ -85,16 +85,12 @@ class DeepQ(ApproximateQ):
         shape, obs = (len(self.env.action_bins), self.bins), jnp.zeros(self.env.observation_size)
         try:
             value = self.network().init(key, obs)
-            found = (
-                jax.eval_shape(self.network().apply, value, obs[None]).shape[1:],
-                *(kind for kind in value if kind != "params"),
-            )
+            got: Any = (*value, jax.eval_shape(self.network().apply, value, obs[None]).shape[1:])
         except (AttributeError, TypeError, FlaxError) as error:
-            found = (in_words(error),)
-        if found != (shape,):
+            got = in_words(error)
+        if got != ("params", shape):
             wanted = f"a Flax module from (..., {len(obs)}) to (..., joints, bins), here (..., {shape[0]}, {shape[1]})"
-            got = ", ".join(map(str, found))
-            raise InputError(f"{type(self).__name__}.network() must return {wanted}, without state; got {got}.")
+            raise InputError(f"{type(self).__name__}.network() must return {wanted}, with 'params' alone; got {got}.")
         return value, self._optimizer(0.0).init(value)
 
     def preprocess(self, weights: Weights, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:

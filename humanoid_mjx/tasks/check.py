@@ -17,9 +17,6 @@ from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous, 
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.user_code import in_words, place
 
-SCALARS = ("reward", "terminated", "truncated", "success")
-
-
 EPISODES, STEPS = 8, 64
 """Size of the trial that looks for numbers that are not finite: episodes side by side, and random actions in each."""
 
@@ -77,14 +74,10 @@ def _check_continuous(task: ContinuousTask, name: str, key: Any) -> None:
     for method, found in states.items():
         if not isinstance(found, State):
             raise InputError(f"task: {name}.{method} must return a State, got a {type(found).__name__}.")
-        for field in ("obs", "final_obs"):
-            shape = jnp.shape(getattr(found, field))
-            if shape != (size,):
-                raise InputError(f"task: {name}.{method} must return {field} of shape ({size},), got {shape}.")
-        for field in SCALARS:
-            shape = jnp.shape(getattr(found, field))
-            if shape:
-                raise InputError(f"task: {name}.{method} must return a scalar {field}, got shape {shape}.")
+        for field in ("obs", "final_obs", "reward", "terminated", "truncated", "success"):
+            wanted, shape = (size,) if "obs" in field else (), jnp.shape(getattr(found, field))
+            if shape != wanted:
+                raise InputError(f"task: {name}.{method} must return {field} of shape {wanted}, got {shape}.")
     _check_same(f"{name}.step", *states.values())
 
 

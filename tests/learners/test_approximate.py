@@ -622,9 +622,9 @@ class Dropping(nn.Module):
     ("module", "got"),
     [
         (None, "got AttributeError: 'NoneType' object has no attribute 'init'"),
-        (Plain(), "got (2,)."),
+        (Plain(), "got ('params', (2,))."),
         (Normed(False), "got ModifyScopeVariableError: "),
-        (Normed(True), "got (1, 2), batch_stats."),
+        (Normed(True), "'batch_stats'"),
         (Dropping(), "got InvalidRngError: "),
     ],
     ids=str,
