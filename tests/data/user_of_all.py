@@ -55,10 +55,11 @@ some: Trained = humanoid_mjx.train(humanoid_mjx.make_learner("mine:Mine", task),
 networks = humanoid_mjx.train(deep, key).policy.weights
 played: Episode = humanoid_mjx.rollout(task, trained.policy, key)
 by_function = humanoid_mjx.rollout(task, lambda obs, key: jnp.zeros(1, int), key)
+trained.policy.save("mine.npz")
 loaded = humanoid_mjx.load_policy("walk")
 run: Run = humanoid_mjx.sweep("joint1", quiet=True)
 again = humanoid_mjx.load_run(run.path)
-found = humanoid_mjx.evaluate(run, episodes=8)
+found = humanoid_mjx.evaluate(run, episodes=8) | humanoid_mjx.evaluate(trained) | humanoid_mjx.evaluate(loaded)
 pictures = humanoid_mjx.draw(run), humanoid_mjx.plot(run), humanoid_mjx.play("walk")
 torques = humanoid_mjx.control.pd, humanoid_mjx.dynamics.gravity, humanoid_mjx.kinematics.forward, humanoid_mjx.Leg
 
@@ -73,6 +74,7 @@ reveal_type(own)  # noqa: F821
 reveal_type(trained)  # noqa: F821
 reveal_type(trained.policy.weights)  # noqa: F821
 reveal_type(trained.curve)  # noqa: F821
+reveal_type(trained.places)  # noqa: F821
 reveal_type(trained.scores)  # noqa: F821
 reveal_type(sweep)  # noqa: F821
 reveal_type(networks)  # noqa: F821
