@@ -88,8 +88,6 @@ TYPED = {
     "evaluate mine.nzp": ", but mine.npz is one",
     "evaluate mine.npz": "this is no policy file, or a truncated or damaged one",
     "evaluate stand_cpu": "it is a config: humanoid-mjx sweep stand_cpu trains it",
-    "play three.yaml": f"this is no policy file; it is a robot: {ROBOT}",
-    "play dog": "it is a robot: humanoid-mjx info dog shows it",
     "export three x.xml": "unknown robot 'three', but three.yaml is one",
     "info thre.xml": ", but three.xml and three.yaml are",
     "info dog.yaml": "but dog is one",
