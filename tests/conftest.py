@@ -15,9 +15,9 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
-# Before the hook: a program's hundred thousand sums and products of scalars would take ten times as long to trace.
+# Before the hook: a program's hundred thousand sums and products of numbers would take ten times as long to trace.
 import humanoid_mjx.kernels.cpu_kernel
-import humanoid_mjx.mechanics.scalars  # noqa: F401
+import humanoid_mjx.kernels.numbers  # noqa: F401
 
 # The hook rewrites every module: once for all processes, and none of them looks for garbage in what it imports.
 sys.dont_write_bytecode = False

@@ -12,7 +12,6 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.kernels.worlds import one_world
-from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree.step import accelerate, advance, folded, make_state, motor_forces
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -130,11 +129,11 @@ def qacc_of(tree: Tree, steps: int = 0) -> Callable[..., Any]:
 
     def moved(values: Any, qpos: Any, qvel: Any, ctrl: Any) -> Any:
         def step(qpos: Any, qvel: Any, warmstart: Any) -> Any:
-            at = folded(unstack(qpos), tree.coordinates), folded(unstack(qvel), tree.dofs)
-            state, motor = make_state(tree, values, *at), motor_forces(tree, unstack(ctrl))
-            _, solution = accelerate(tree, values, state, motor, folded(unstack(warmstart), tree.dofs))
+            at = folded(qpos[:, None], tree.coordinates), folded(qvel[:, None], tree.dofs)
+            state, motor = make_state(tree, values, *at), motor_forces(tree, ctrl)
+            _, solution = accelerate(tree, values, state, motor, folded(warmstart[:, None], tree.dofs))
             parts, settled = advance(tree, values, state, solution, motor)
-            return [jnp.stack([x.value for x in part]) for part in parts], settled & (qvel[0] == qvel[0])
+            return parts, settled & (qvel[0] == qvel[0])
 
         cold = jnp.zeros_like(qvel)
         if not steps:

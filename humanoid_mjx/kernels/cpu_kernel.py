@@ -25,6 +25,7 @@ from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, type_of
 from humanoid_mjx.kernels.llvm_lowering import lower
 from humanoid_mjx.kernels.llvm_memory import Given, Table, Words
 from humanoid_mjx.kernels.signature import Kind, Signature, signature
+from humanoid_mjx.kernels.sums import fused
 from humanoid_mjx.kernels.threads import Threads
 
 NAME = re.compile(r"humanoid_mjx_[0-9a-f]{32}")
@@ -167,6 +168,7 @@ def written(known: Signature) -> tuple[str, list[Kind], dict[int, int]]:
         return rows
 
     traced = jax.make_jaxpr(results)(known.numbers)
+    traced = traced if known.single else fused(traced)
     values = lower(code, traced, [_loaded(code, place) for place in _places(code, "given", known.given)])
     for value, place in zip(values, _places(code, "found", found), strict=True):
         _stored(code, value, place)

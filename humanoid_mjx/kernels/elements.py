@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -59,39 +59,96 @@ KNOWN: dict[str, Callable[..., np.generic]] = {
 """Operations on numbers known while tracing that are so frequent that a GPU must not be asked for each."""
 
 
-def computed(eqn: Any, args: Sequence[Element], as_xla: bool = False) -> Element:
-    """An operation on single elements that are no lanes; `as_xla`: a division by a known number is a product."""
-    name = eqn.primitive.name
+class Operation(NamedTuple):
+    """An operation on single elements."""
+
+    name: str
+    """That of the primitive."""
+    bind: Callable[..., Array]
+    params: dict[str, Any]
+
+    @property
+    def key(self) -> str:
+        return self.name + str(self.params or "")
+
+
+ADD, MULTIPLY = Operation("add", lax.add, {}), Operation("mul", lax.mul, {})
+
+
+def computed(
+    operation: Operation,
+    args: Sequence[Element],
+    vector: Callable[[Element], Array],
+    as_xla: bool = False,
+) -> Element:
+    """An operation on single elements that are no lanes.
+
+    `vector`: from an element to an array of the block's threads. `as_xla`: round as XLA does, a division by a known
+    number is a product.
+    """
+    name, bind, params = operation
     if as_xla and name == "div" and are_known(args[1:]) and args[1].dtype == jnp.float32 and not are_known(args[:1]):
         return args[0] * (np.float32(1) / args[1])
     if name == "select_n" and isinstance(args[0], np.generic):
         return args[1 + int(args[0])]
     if all(isinstance(arg, np.generic) for arg in args):
         if name == "convert_element_type":
-            return args[0].astype(eqn.params["new_dtype"])
+            return args[0].astype(params["new_dtype"])
         if name in KNOWN:
             return KNOWN[name](*args)
         with jax.ensure_compile_time_eval():
-            return np.asarray(eqn.primitive.bind(*map(jnp.asarray, args), **eqn.params))[()]
-    if name in ("add", "mul"):
-        for one, two in (args, args[::-1]):
-            if _is(one, 0):  # times what is not finite, too: `Scalar` has it so
-                return two if name == "add" else one
-            if name == "mul" and _is(one, 1):
-                return two
-    if name == "sub" and _is(args[1], 0):
-        return args[0]
-    if name == "and":
-        for one, two in (args, args[::-1]):
-            if isinstance(one, np.bool_):
-                return two if one else one
+            return np.asarray(bind(*map(jnp.asarray, args), **params))[()]
+    if name in FOLDS and (found := FOLDS[name](*args)) is not None:
+        return found
+    if not as_xla and name in SIGNED and (found := SIGNED[name](*args)) is not None:
+        return found
     if name == "round":
-        return _rounded(eqn.params, vector(args[0]))
+        return _rounded(params, vector(args[0]))
     if all(np.ndim(arg) == 0 for arg in args):  # the same in all worlds
-        return eqn.primitive.bind(*map(jnp.asarray, args), **eqn.params)
+        return bind(*map(jnp.asarray, args), **params)
     if name in ANGLES:
         return ANGLES[name](vector(args[0]))
-    return eqn.primitive.bind(*(vector(arg) for arg in args), **eqn.params)
+    return bind(*(vector(arg) for arg in args), **params)
+
+
+def _sum(a: Element, b: Element) -> Element | None:
+    return b if _is(a, 0) else a if _is(b, 0) else None
+
+
+def _product(a: Element, b: Element) -> Element | None:
+    """Of 0 and what is not finite 0, too."""
+    for one, two in ((a, b), (b, a)):
+        if _is(one, 0) or _is(two, 1):
+            return one
+    return None
+
+
+def _both(a: Element, b: Element) -> Element | None:
+    for one, two in ((a, b), (b, a)):
+        if isinstance(one, np.bool_):
+            return two if one else one
+    return None
+
+
+def _difference(a: Element, b: Element) -> Element | None:
+    return lax.neg(b) if _is(a, 0) else None
+
+
+def _negative(a: Element, b: Element) -> Element | None:
+    return lax.neg(b) if _is(a, -1) else lax.neg(a) if _is(b, -1) else None
+
+
+FOLDS: dict[str, Callable[..., Element | None]] = {
+    "add": _sum,
+    "and": _both,
+    "div": lambda a, b: a if _is(a, 0) else None,
+    "mul": _product,
+    "sub": lambda a, b: a if _is(b, 0) else None,
+}
+"""By primitive: the result where known numbers make the operation superfluous, or None."""
+
+SIGNED: dict[str, Callable[..., Element | None]] = {"mul": _negative, "sub": _difference}
+"""The same where the sign of a 0 or what is not finite may come out otherwise than by XLA."""
 
 
 def _rounded(params: dict[str, Any], x: Array) -> Array:
@@ -113,10 +170,11 @@ def vector(element: Element) -> Array:
     return element if element.ndim else jnp.broadcast_to(element, THREADS)
 
 
-REDUCTIONS: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {
-    "reduce_and": (lax.bitwise_and, True),
-    "reduce_min": (lax.min, 0),
-    "reduce_or": (lax.bitwise_or, False),
-    "reduce_sum": (lax.add, 0),
+REDUCTIONS: dict[str, tuple[Operation, Any]] = {
+    "reduce_and": (Operation("and", lax.bitwise_and, {}), True),
+    "reduce_max": (Operation("max", lax.max, {}), 0),
+    "reduce_min": (Operation("min", lax.min, {}), 0),
+    "reduce_or": (Operation("or", lax.bitwise_or, {}), False),
+    "reduce_sum": (ADD, 0),
 }
 """Reductions by primitive: the operation on two elements, and what is made of none; jax refuses a minimum of none."""

@@ -16,10 +16,12 @@ import numpy as np
 from jax import lax
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as gpu
+from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array, Float
 
 from humanoid_mjx.kernels.memory import THREADS, Constants, Device, Region, Shared, assembly
 from humanoid_mjx.kernels.signature import Kind, Signature, signature
+from humanoid_mjx.kernels.sums import fused
 from humanoid_mjx.kernels.threads import Threads, power_of_two
 
 Results = Callable[[Sequence[Array]], list[Float[Array, " worlds"]]]
@@ -192,7 +194,7 @@ def _results(known: Signature, lanes: int, interpret: bool) -> Results:
         rows, *_ = known.evaluate(_threads(lanes, interpret), numbers)
         return [number.astype(jnp.float32) for number in rows]
 
-    return jax.jit(results)
+    return jax.jit(lambda numbers: jaxpr_as_fun(fused(jax.make_jaxpr(results)(numbers)))(*numbers))
 
 
 def _threads(lanes: int, interpret: bool, single: bool = False) -> Threads:

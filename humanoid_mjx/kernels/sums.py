@@ -5,11 +5,10 @@ multiply-adds. Compilers leave the order of a sum as it is, since another one ro
 """
 
 from collections import Counter
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from jax.extend.core import Jaxpr, JaxprEqn, Literal, Var
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 from jax.extend.core.primitives import add_p, sub_p
 
 
@@ -30,7 +29,24 @@ class _Sum(NamedTuple):
     """Additions of a product."""
 
 
-@lru_cache
+def fused(closed: ClosedJaxpr) -> ClosedJaxpr:
+    """A traced function of numbers, with sums in another order in it and in its loops and branches."""
+
+    def inside(value: Any) -> Any:
+        if isinstance(value, tuple) and value and isinstance(value[0], ClosedJaxpr):
+            return tuple(map(fused, value))
+        return fused(value) if isinstance(value, ClosedJaxpr) else value
+
+    jaxpr = closed.jaxpr
+    used, equations = {x for x in jaxpr.outvars if not isinstance(x, Literal)}, []
+    for eqn in reversed(jaxpr.eqns):
+        if eqn.effects or not used.isdisjoint(eqn.outvars):
+            used |= {x for x in eqn.invars if not isinstance(x, Literal)}
+            equations.append(eqn.replace(params={key: inside(value) for key, value in eqn.params.items()}))
+    jaxpr = jaxpr.replace(eqns=equations[::-1])
+    return closed.replace(jaxpr=jaxpr.replace(eqns=with_fused_sums(jaxpr)))
+
+
 def with_fused_sums(jaxpr: Jaxpr) -> list[JaxprEqn]:
     """The equations of a traced function, with sums of float32 in another order where that saves instructions."""
     used = Counter(x for eqn in jaxpr.eqns for x in eqn.invars if not isinstance(x, Literal))

@@ -27,10 +27,13 @@ from jaxtyping import Array
 
 from humanoid_mjx.kernels.arrangements import ARRANGEMENTS, arranged, constant
 from humanoid_mjx.kernels.elements import (
+    ADD,
     ARITHMETIC,
+    MULTIPLY,
     REDUCTIONS,
     Element,
     Lane,
+    Operation,
     are_known,
     computed,
     is_lane,
@@ -39,7 +42,6 @@ from humanoid_mjx.kernels.elements import (
 )
 from humanoid_mjx.kernels.memory import THREADS, Region, bits
 from humanoid_mjx.kernels.primitives import CALLS
-from humanoid_mjx.kernels.sums import with_fused_sums
 from humanoid_mjx.kernels.uniform import uniform_carry, uniform_results
 
 
@@ -113,6 +115,8 @@ class Threads:
         self.region, self.constants, self.single = region, constants, single
         self.control = {"while": self._while, "cond": self._cond}
         self.numbers = count()
+        self.made: dict[Any, tuple[Element, Sequence[Element]]] = {}
+        """What the part that is traced now has computed, and of which elements."""
         self.regions: list[Region] = []
         """Memory that what is traced now may use."""
 
@@ -129,7 +133,7 @@ class Threads:
             kind: Any = x.aval
             return constant(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
 
-        for eqn in closed.jaxpr.eqns if self.single else with_fused_sums(closed.jaxpr):
+        for eqn in closed.jaxpr.eqns:
             found = self._apply(eqn, [value(x) for x in eqn.invars])
             values |= zip(eqn.outvars, found, strict=True)
         return [value(x) for x in closed.jaxpr.outvars]
@@ -190,6 +194,26 @@ class Threads:
             found += [one] * self.lanes if same else [Lane(one, index) for index in range(self.lanes)]
         return arranged(found, shape)
 
+    def _computed(self, operation: Operation, *elements: Element) -> Element:
+        """An operation on single elements; a kernel computes the same once."""
+        if self.single:
+            return computed(operation, elements, vector, as_xla=True)
+        names: Any = [(each.dtype, each.item()) if isinstance(each, np.generic) else id(each) for each in elements]
+        names = frozenset(names) if operation.name in ("add", "mul") else tuple(names)
+        key = operation.key, names
+        if key not in self.made:
+            self.made[key] = computed(operation, elements, self._vector), elements
+        return self.made[key][0]
+
+    def _vector(self, element: Element) -> Array:
+        """An element that is no lane as an array of the block's threads; a known one is made once."""
+        if not isinstance(element, np.generic):
+            return vector(element)
+        key = element.dtype, element.item()
+        if key not in self.made:
+            self.made[key] = vector(element), []
+        return self.made[key][0]
+
     def _apply(self, eqn: Any, args: list[Any]) -> list[Any]:
         """One operation."""
         name, params = eqn.primitive.name, eqn.params
@@ -213,13 +237,15 @@ class Threads:
             return self.evaluate(_of_keys(eqn), args) if KEYS[name] else args
         if name in ARRANGEMENTS:
             return ARRANGEMENTS[name](params, *args)
+        if name == "dot_general":
+            return [self._products(params, *args)]
         if name in REDUCTIONS:
             return [self._reduced(eqn, args[0])]
         shape = eqn.outvars[0].aval.shape
         if name not in ARITHMETIC:
             raise NotImplementedError(f"threads do no {name!r}")
         args = [np.broadcast_to(arg, shape) for arg in args]
-        return [self._each(lambda *elements: computed(eqn, elements, self.single), args, shape)]
+        return [self._each(partial(self._computed, Operation(name, eqn.primitive.bind, params)), args, shape)]
 
     def _looked_up(self, array: Held, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
         """The entry along the first axis at an index."""
@@ -328,7 +354,9 @@ class Threads:
         """Trace a part of the program that begins with these tokens of all regions, and ends with those of a call."""
         outside = [(region.token, region.seen) for region in self.regions]
         self._begin(tokens)
+        made, self.made = self.made, {}
         yield lambda: self._tokens()[: len(outside)]
+        self.made = made
         del self.regions[len(outside) :]
         for region, (token, seen) in zip(self.regions, outside, strict=True):
             region.token, region.seen = token, seen
@@ -341,27 +369,41 @@ class Threads:
         return [region.settle() for region in self.regions]
 
     def _reduced(self, eqn: Any, array: np.ndarray) -> np.ndarray:
-        axes, (combine, of_nothing) = eqn.params["axes"], REDUCTIONS[eqn.primitive.name]
-        if combine is lax.add and axes == (array.ndim - 2,) and self._summable(array):
-            return arranged([self.summed(group[0].vector) for group in self._groups(array)], eqn.outvars[0].aval.shape)
+        axes, (operation, of_nothing) = eqn.params["axes"], REDUCTIONS[eqn.primitive.name]
+        both, shape = partial(self._computed, operation), eqn.outvars[0].aval.shape
+        if axes == (array.ndim - 2,) and self._laned(array.shape):
+            return arranged([self._over_lanes(group, both) for group in self._groups(array)], shape)
         kept = [axis for axis in range(array.ndim) if axis not in axes]
-        shape = tuple(array.shape[axis] for axis in kept)
         rows = array.transpose(*axes, *kept).reshape(-1, *shape)
         if not len(rows):
             return constant(np.full(shape, of_nothing, eqn.outvars[0].aval.dtype))
-
-        def both(a: Element, b: Element) -> Element:
-            return combine(vector(a), vector(b))
-
         return reduce(lambda a, b: self._each(both, [a, b], shape), (rows[row, ...] for row in range(len(rows))))
 
-    def _summable(self, array: np.ndarray) -> bool:
-        """True where threads hold their own lanes of all elements of float32, and there is none without a lane."""
-        whole = self.lanes == power_of_two(self.lanes)
-        if not whole or not self._laned(array.shape) or type_of(array) != jnp.float32:
-            return False
-        groups = self._groups(array)
-        return all(isinstance(group[0], Lane) and self._joined(group)[0] is group[0].vector for group in groups)
+    def _products(self, params: dict[str, Any], a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Sums of products along one axis of each of two arrays."""
+        (one, two), batch = params["dimension_numbers"]
+        if len(one) != 1 or any(batch):
+            raise NotImplementedError("threads multiply matrices alone")
+        rows, columns = np.moveaxis(a, one[0], -1), np.moveaxis(b, two[0], -1)
+        shape = *rows.shape[:-1], *columns.shape[:-1]
+        times, plus = partial(self._computed, MULTIPLY), partial(self._computed, ADD)
+        entries = [
+            reduce(plus, map(times, map(self._alike, row), map(self._alike, column)))
+            for row in rows.reshape(-1, a.shape[one[0]])
+            for column in columns.reshape(-1, a.shape[one[0]])
+        ]
+        return arranged(entries, shape)
+
+    def _over_lanes(self, group: Sequence[Element], both: partial[Element]) -> Element:
+        """The elements of all lanes together; threads that hold their own sum it up with the others of the world."""
+        first, whole = group[0], self.lanes == power_of_two(self.lanes)
+        floats = isinstance(first, Lane) and first.vector.dtype == jnp.float32 and both.args[0] is ADD
+        if not (whole and floats and self._joined(group)[0] is first.vector):
+            return reduce(both, map(self._alike, group))
+        key = "summed", id(first.vector)
+        if key not in self.made:
+            self.made[key] = self.summed(first.vector), [first.vector]
+        return self.made[key][0]
 
     def _while(self, eqn: Any, *args: Held) -> list[Held]:
         """Run a loop until all worlds of the block have ended; those that have ended compute on with the others.

@@ -1,19 +1,20 @@
 """The motion of a serial chain: `mass_matrix(q) qdd + coriolis(q, qd) + gravity(q) = torque`.
 
-All functions take one chain at one state; `jax.vmap` batches both. They are written out on scalars, with what vanishes
-in the chain's structure left out, and compile to few kernels without loops or matrices. On a CPU they are fastest after
-`humanoid_mjx.start()` in a `jax.jit` with `compute.compiler_options("scalars")`, in batches of some 500 for each core.
+All functions take one chain at one state; `jax.vmap` batches both. They are plain arithmetic of arrays, which
+`kernels.numbers.scalarised` writes out: what vanishes in the chain's structure is left out, and XLA makes few kernels
+without loops or matrices. On a CPU they are fastest after `humanoid_mjx.start()` in a `jax.jit` with
+`compute.compiler_options("scalars")`, in batches of some 500 for each core.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from humanoid_mjx.mechanics.links import Body, composite_inertia, gravity_vector, make_links, newton_euler
-from humanoid_mjx.mechanics.scalars import HALF, NULL, ZERO, Scalar, dot, solve, stack, unstack
+from humanoid_mjx.kernels.numbers import scalarised
+from humanoid_mjx.mechanics.links import composite_inertia, gravity_vector, make_links, newton_euler, solve
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.types import FloatScalar, IntScalar
 
@@ -21,61 +22,65 @@ Joints = Float[Array, " joints"]
 Matrix = Float[Array, "joints joints"]
 
 
+@scalarised
 def mass_matrix(leg: Chain, qpos: Joints) -> Matrix:
     """The mass matrix, kg m^2: symmetric and positive definite."""
-    return _matrix(composite_inertia(make_links(leg, qpos)), qpos)
+    return composite_inertia(make_links(leg, qpos))
 
 
+@scalarised
 def joint_inertias(leg: Chain, qpos: Joints) -> Joints:
     """The diagonal of the mass matrix, kg m^2: what each joint moves while the others stand still."""
-    rows = composite_inertia(make_links(leg, qpos))
-    return stack([row[joint] for joint, row in enumerate(rows)], qpos)
+    return jnp.stack([row[joint] for joint, row in enumerate(composite_inertia(make_links(leg, qpos)))])
 
 
+@scalarised
 def coriolis(leg: Chain, qpos: Joints, qvel: Joints) -> Joints:
     """The whole velocity term, N m: centrifugal and Coriolis torques."""
-    return stack(newton_euler(make_links(leg, qpos), NULL, unstack(qvel), _none(leg)), qpos)
+    return newton_euler(make_links(leg, qpos), jnp.zeros(3, qpos.dtype), qvel, jnp.zeros_like(qpos))
 
 
+@scalarised
 def gravity(leg: Chain, qpos: Joints) -> Joints:
     """The torques that hold the chain against gravity, N m."""
-    return stack(newton_euler(make_links(leg, qpos), gravity_vector(leg), _none(leg), _none(leg)), qpos)
+    return newton_euler(make_links(leg, qpos), gravity_vector(leg), jnp.zeros_like(qpos), jnp.zeros_like(qpos))
 
 
+@scalarised
 def bias(leg: Chain, qpos: Joints, qvel: Joints) -> Joints:
     """`coriolis` plus `gravity`, N m."""
-    return stack(newton_euler(make_links(leg, qpos), gravity_vector(leg), unstack(qvel), _none(leg)), qpos)
+    return newton_euler(make_links(leg, qpos), gravity_vector(leg), qvel, jnp.zeros_like(qpos))
 
 
+@scalarised
 def mass_matrix_and_bias(leg: Chain, qpos: Joints, qvel: Joints) -> tuple[Matrix, Joints]:
     """`mass_matrix` and `bias` at once."""
     links = make_links(leg, qpos)
-    torques = newton_euler(links, gravity_vector(leg), unstack(qvel), _none(leg))
-    return _matrix(composite_inertia(links), qpos), stack(torques, qpos)
+    return composite_inertia(links), newton_euler(links, gravity_vector(leg), qvel, jnp.zeros_like(qpos))
 
 
+@scalarised
 def inverse_dynamics(leg: Chain, qpos: Joints, qvel: Joints, qacc: Joints) -> Joints:
     """The torques of a motion, N m."""
-    return stack(newton_euler(make_links(leg, qpos), gravity_vector(leg), unstack(qvel), unstack(qacc)), qpos)
+    return newton_euler(make_links(leg, qpos), gravity_vector(leg), qvel, qacc)
 
 
+@scalarised
 def forward_dynamics(leg: Chain, qpos: Joints, qvel: Joints, torque: Joints) -> Joints:
     """The joint accelerations under given torques, rad/s^2."""
     links = make_links(leg, qpos)
-    held = newton_euler(links, gravity_vector(leg), unstack(qvel), _none(leg))
-    free = [given - needed for given, needed in zip(unstack(torque), held, strict=True)]
-    return stack(solve(composite_inertia(links), free), qpos)
+    held = newton_euler(links, gravity_vector(leg), qvel, jnp.zeros_like(qpos))
+    return solve(composite_inertia(links), torque - held)
 
 
+@scalarised
 def energy(leg: Chain, qpos: Joints, qvel: Joints) -> Float[Array, ""]:
     """Kinetic plus potential energy, J; the potential is that of the links' masses against the origin of frame 0."""
     links = make_links(leg, qpos)
-    everything = Body()
+    everything = jnp.zeros_like(links[0].inertia)
     for link in reversed(links):
-        everything = link.inward_body(everything.plus(link.body))
-    momentum = [dot(row, unstack(qvel)) for row in composite_inertia(links)]
-    total = HALF * dot(momentum, unstack(qvel)) - dot(gravity_vector(leg), everything.first)
-    return stack([total], qpos)[0]
+        everything = link.inward_body(everything + link.inertia)
+    return 0.5 * (composite_inertia(links) @ qvel) @ qvel - gravity_vector(leg) @ everything[:3, 3]
 
 
 class State(NamedTuple):
@@ -185,11 +190,3 @@ def rollout(
 def _after(value: Joints, rate: Joints, time: FloatScalar) -> Joints:
     """`value + rate * time`, by element: the compiler then sees through the stacking."""
     return jnp.stack([x + v * time for x, v in zip(value, rate, strict=True)])
-
-
-def _none(leg: Chain) -> list[Scalar]:
-    return [ZERO] * leg.num_joints
-
-
-def _matrix(rows: Sequence[Sequence[Scalar]], like: Array) -> Matrix:
-    return jnp.stack([stack(row, like) for row in rows])

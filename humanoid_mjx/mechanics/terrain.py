@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 from pydantic import model_validator
 
-from humanoid_mjx.mechanics.scalars import Scalar, Vector
 from humanoid_mjx.spec import Spec, traced
 from humanoid_mjx.types import AnyArray
 
@@ -102,13 +101,15 @@ class Terrain(Spec):
         """Height of a place above the ground below it, m."""
         return place[..., 2] - self.height(place[..., 0], place[..., 1])
 
-    def nearest(self, place: Vector, upper: bool) -> tuple[Scalar, Vector]:
+    def nearest(
+        self, place: Float[Array, "*places 3 lanes world"], upper: bool
+    ) -> tuple[Float[Array, "*places lanes world"], Float[Array, "*places 3 lanes world"]]:
         """The distance of a place from the ground, m, and the normal there.
 
         Stairs are exact: `upper` chooses which of the two boxes counts that meet at the riser nearest to the place.
         Waves are exact to first order: the ground's tangent plane below the place counts.
         """
-        x, y, z = (axis.value for axis in place)
+        x, y, z = (place[..., axis, :, :] for axis in range(3))
         height, along_x, along_y = self.waves(x, y, jnp)
         z, (toward_x, toward_y) = z - height, self._rising(jnp)
         distance, level, steep = z, 0.0, 1.0
@@ -129,7 +130,7 @@ class Terrain(Spec):
         if self.rough is not None:
             length = jnp.sqrt(sum(part * part for part in normal))
             distance, normal = distance / length, tuple(part / length for part in normal)
-        return Scalar(distance), Vector(*map(Scalar, normal))
+        return distance, jnp.stack(jnp.broadcast_arrays(*normal), axis=-3)
 
     def _rising(self, lib: Any) -> tuple[Any, Any]:
         return lib.cos(lib.radians(self.direction)), lib.sin(lib.radians(self.direction))

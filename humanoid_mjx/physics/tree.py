@@ -1,9 +1,9 @@
 # pyright: reportAttributeAccessIssue=false, reportCallIssue=false
 """The tree written out: MuJoCo's models of hinges, balls and capsules at many times the speed of MJX.
 
-It computes what native MuJoCo does, contacts included (`mechanics.tree`), in plain jax operations on scalars. On a CPU
-it is fastest after `humanoid_mjx.start()` in a `jax.jit` with `compute.compiler_options("tree")`, in batches of some
-1,000 worlds for each core.
+It computes what native MuJoCo does, contacts included (`mechanics.tree`), in plain jax, of which kernels make numbers.
+On a CPU it is fastest after `humanoid_mjx.start()` in a `jax.jit` with `compute.compiler_options("tree")`, in batches
+of some 1,000 worlds for each core.
 """
 
 from functools import lru_cache, partial
@@ -23,7 +23,6 @@ from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.kernels.fallback import given_up
 from humanoid_mjx.kernels.worlds import one_kernel, one_world
 from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of, no_contacts
-from humanoid_mjx.mechanics.scalars import unstack
 from humanoid_mjx.mechanics.tree import sensing
 from humanoid_mjx.mechanics.tree import step as mechanics
 from humanoid_mjx.mechanics.tree.folding import fold
@@ -188,8 +187,8 @@ Parts = tuple[Any, ...]
 
 
 def _state(tree: Tree, values: mechanics.Values, qpos: Any, qvel: Any) -> mechanics.State:
-    positions = mechanics.folded(unstack(qpos), tree.coordinates)
-    return mechanics.make_state(tree, values, positions, mechanics.folded(unstack(qvel), tree.dofs))
+    positions = mechanics.folded(qpos[:, None], tree.coordinates)
+    return mechanics.make_state(tree, values, positions, mechanics.folded(qvel[:, None], tree.dofs))
 
 
 class _Step(NamedTuple):
@@ -204,7 +203,7 @@ class _Step(NamedTuple):
 def _solved(tree: Tree, values: mechanics.Values, world: Parts, torque: Any) -> _Step:
     qpos, qvel, warmstart, diverged = world
     state = _state(tree, values, qpos, qvel)
-    motor, near = mechanics.motor_forces(tree, unstack(torque)), mechanics.folded(unstack(warmstart), tree.dofs)
+    motor, near = mechanics.motor_forces(tree, torque), mechanics.folded(warmstart[:, None], tree.dofs)
     return _Step(state, *mechanics.accelerate(tree, values, state, motor, near, diverged), motor)
 
 
@@ -218,14 +217,8 @@ def _moved(tree: Tree, values: mechanics.Values, step: _Step, world: Parts) -> P
     *old, diverged = world
     after, settled = mechanics.advance(tree, values, step.state, step.solution, step.motor)
     stays = diverged | ~settled
-    for value in after[0]:
-        stays = stays | ~jnp.isfinite(value.value)
-    for value in after[1]:
-        stays = stays | ~(jnp.abs(value.value) <= MAX_SPEED)
-    kept = [
-        jnp.stack([jnp.where(stays, old, new.value) for old, new in zip(before, part, strict=True)])
-        for before, part in zip(old, after, strict=True)
-    ]
+    stays = stays | ~jnp.isfinite(after[0]).all(axis=0) | ~(jnp.abs(after[1]) <= MAX_SPEED).all(axis=0)
+    kept = [jnp.where(stays, before, part) for before, part in zip(old, after, strict=True)]
     return (*kept, stays)
 
 

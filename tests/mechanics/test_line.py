@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.kernels.worlds import one_world
-from humanoid_mjx.mechanics.scalars import Scalar
 from humanoid_mjx.mechanics.tree.contacts import Slip
 from humanoid_mjx.mechanics.tree.kinematics import make_kinematics
 from humanoid_mjx.mechanics.tree.line import lowest_share
@@ -35,10 +34,10 @@ def test_a_joint_that_begins_to_slip_is_found_although_large_forces_cancel():
     tree = read_tree(mujoco.MjModel.from_xml_string(TWO_HINGES))
 
     def found(before, after, force):
-        before, after, force = ([Scalar(x) for x in part] for part in (before, after, force))
-        matrix = [[Scalar(float(x)) for x in row[: i + 1]] for i, row in enumerate(MASS)]
-        slip = Slip(Scalar(WEIGHT), Scalar(0.0), Scalar(MOST))
-        at_rest = [Scalar(0.0)] * 2
+        before, after, force = (list(part[:, None]) for part in (before, after, force))
+        matrix = [np.float32(row[: i + 1, None, None]) for i, row in enumerate(MASS)]
+        slip = Slip(*(np.full((1, 1), x, np.float32) for x in (WEIGHT, 0.0, MOST)))
+        at_rest = [np.zeros((1, 1))] * 2
         problem = Problem(matrix, force, make_kinematics(tree, at_rest), at_rest, [], [], {}, {1: slip})
         active = active_at(tree, problem, before)
         return lowest_share(tree, problem, None, active, before, after, jnp.zeros(1, bool))

@@ -5,9 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar
 from humanoid_mjx.mechanics.tree import pair_equations
-from humanoid_mjx.mechanics.tree.algebra import UNTURNED
 from humanoid_mjx.mechanics.tree.contacts import Touch
 
 
@@ -25,11 +23,9 @@ def test_stiffness_is_right_whatever_the_friction(friction):
     expected = np.linalg.solve(np.eye(3) + stiffness @ compliance, stiffness)
 
     def inner(compliance, flags):
-        both = Scalar(friction), Scalar(friction)
-        touch = Touch(NULL, UNTURNED, ZERO, None, Scalar(jnp.full(500, weight)), NULL, both)
-        block = [[Scalar(entry) for entry in row] for row in compliance]
-        return [[entry.value for entry in row] for row in pair_equations._inner(touch, list(flags), block)]
+        touch = Touch((), (), (), (), jnp.full((1, 1), weight), (), (friction, friction))
+        return pair_equations._inner(touch, flags[:, None, None], compliance[..., None, None])[..., 0, 0]
 
-    found = np.array(jax.jit(inner)(np.float32(compliance.transpose(1, 2, 0)), flags.T)).transpose(2, 0, 1)
+    found = np.array(jax.jit(jax.vmap(inner))(np.float32(compliance), flags))
     error = np.linalg.norm((found - expected) @ compliance, axis=(1, 2))
     assert error.max() < 1e-3  # of shares of a force; the compliances' condition is up to a thousand

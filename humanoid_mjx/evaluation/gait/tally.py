@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from humanoid_mjx.mechanics.rotations import heading_frame
-from humanoid_mjx.mechanics.scalars import Scalar, Vector
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.segments import nearest_shares
 from humanoid_mjx.physics.base import Poses, Sensed
@@ -92,8 +91,8 @@ def legs_apart(poses: Poses, robot: Robot) -> FloatScalar:
     place = poses.position[bodies] + jnp.einsum("psij,psj->psi", poses.rotation[bodies], middles)
     half = jnp.einsum("psij,psj->psi", poses.rotation[bodies], halves)
     apart, (one, other) = place[:, 0] - place[:, 1], half.swapaxes(0, 1)
-    x, y = nearest_shares(*(Vector(*map(Scalar, rows.T)) for rows in (one, other, apart)))
-    way = apart + x.value[:, None] * one - y.value[:, None] * other
+    x, y = nearest_shares(*(rows[..., None, None] for rows in (one, other, apart)))
+    way = apart + x[..., 0] * one - y[..., 0] * other
     return (jnp.linalg.norm(way + 1e-12, axis=1) - radii).min()
 
 

@@ -1,145 +1,147 @@
-"""Additions to `mechanics.scalars` for trees: pytrees of scalars, 3x3 matrices, spatial vectors."""
+"""Arrays of one world: vectors, matrices and spatial vectors, and loops over them.
+
+The last two axes of an array are those of the lanes, 1 where all lanes agree, and of the world. Those of components
+are before them: a vector is (..., 3, lanes, 1), a rotation (..., 3, 3, lanes, 1), a number (..., lanes, 1).
+
+A spatial vector is a motion or a force about one origin, in axes of the world, (..., 6, lanes, 1). Of a motion: the
+velocity of the body's point at the origin, and its angular velocity. Of a force: the force, and its moment.
+"""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
-from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
-from humanoid_mjx.mechanics.tree import structure
-from humanoid_mjx.mechanics.tree.structure import Axes, Table
+from humanoid_mjx.mechanics.tree.structure import Table, Tree
 
 FEW_PAIRS = 8
-"""Above so many pairs, equal bodies' scalars are shared (`each_of`), and pairs are looked at in a loop. The lower body
-has 5."""
+"""Above so many pairs, pairs are looked at in a loop. The lower body has 5."""
+
+EYE = np.eye(3)[..., None, None]
+
+Thing = TypeVar("Thing")
 
 
-def _flatten(scalar: Scalar) -> tuple[tuple[Any, ...], float | None]:
-    return ((), scalar.value) if isinstance(scalar.value, float) else ((scalar.value,), None)
+def numbers(values: Any, behind: tuple[int, ...] = (1,)) -> np.ndarray:
+    """Nested tuples of numbers and tables as an array; `behind`: axes behind those of a table."""
+    if isinstance(values, Table):
+        return np.reshape(values.values, (*values.shape, *behind)).astype(jnp.result_type(float))
+    if isinstance(values, tuple):
+        return np.stack(np.broadcast_arrays(*(numbers(value, behind) for value in values)))
+    return np.full((1, 1), values, jnp.result_type(float))
 
 
-jax.tree_util.register_pytree_node(
-    Scalar, _flatten, lambda known, children: Scalar(*children if children else (known,))
-)
-"""Numbers that are known while tracing are structure, those that are traced are leaves."""
-
-WORLD = (1,)
-"""The shape of a traced scalar: one world, in the last axis. Axes of contacts and of lanes are before it."""
-
-Tree = TypeVar("Tree")
-
-Rotation = tuple[Vector, Vector, Vector]
-"""The axes of a frame in the world: the columns of its rotation matrix."""
-
-UNTURNED: Rotation = (Vector(ONE, ZERO, ZERO), Vector(ZERO, ONE, ZERO), Vector(ZERO, ZERO, ONE))
+def column(parts: Sequence[Any]) -> Any:
+    """A vector of its components."""
+    return jnp.stack(jnp.broadcast_arrays(*parts), axis=-3)
 
 
-class Spatial(NamedTuple):
-    """A motion or a force about one origin, in axes of the world.
-
-    Of a motion: the velocity of the body's point at the origin, and its angular velocity. Of a force: the force, and
-    its moment about the origin.
-    """
-
-    linear: Vector
-    angular: Vector
+def stacked(parts: Sequence[Any]) -> Any:
+    """Arrays with a first axis that counts them."""
+    return jnp.stack(jnp.broadcast_arrays(*parts))
 
 
-NOWHERE = Spatial(NULL, NULL)
+def dot(a: Any, b: Any) -> Any:
+    """The scalar product of two vectors, or of a motion and a force."""
+    return _sum(a * b, -3)
 
 
-def isotropic(value: Scalar) -> Symmetric:
-    """`value` times the identity."""
-    return Symmetric(xx=value, yy=value, zz=value)
+def cross(a: Any, b: Any) -> Any:
+    """The vector product."""
+    return _next(a * _next(b) - _next(a) * b)
 
 
-def outer(factor: Scalar, v: Vector) -> Symmetric:
-    """`factor v v^T`."""
-    scaled = scale(factor, v)
-    return Symmetric(scaled.x * v.x, scaled.x * v.y, scaled.x * v.z, scaled.y * v.y, scaled.y * v.z, scaled.z * v.z)
+def scale(factor: Any, v: Any) -> Any:
+    """Numbers times vectors."""
+    return _with_axis(factor, -3) * v
 
 
-def subtract(a: Vector, b: Vector) -> Vector:
-    """The difference of two vectors."""
-    return Vector(a.x - b.x, a.y - b.y, a.z - b.z)
+def turn(matrix: Any, v: Any) -> Any:
+    """The product of a matrix and a vector."""
+    return _sum(matrix * _with_axis(v, -4), -3)
 
 
-def vector(values: Any) -> Vector:
-    """From three numbers, or an array of them."""
-    return Vector(*(number(value) for value in values))
+def compose(a: Any, b: Any) -> Any:
+    """The product of two matrices."""
+    return _sum(_with_axis(a, -3) * _with_axis(b, -5), -4)
 
 
-def number(value: Any) -> Scalar:
-    """A scalar of a number, known while tracing, of a table, or of a traced value."""
-    if isinstance(value, Table):
-        return known(np.asarray(value.values).reshape(value.shape))
-    return Scalar(float(value)) if isinstance(value, float | int) else Scalar(value)
+def _next(v: Any) -> Any:
+    """The components y, z, x."""
+    if isinstance(v, np.ndarray):
+        return np.roll(v, -1, axis=-3)
+    axis = v.ndim - 3
+    return lax.concatenate([lax.slice_in_dim(v, 1, 3, axis=axis), lax.slice_in_dim(v, 0, 1, axis=axis)], axis)
 
 
-def known(values: Any) -> Scalar:
-    """A scalar of an array that is known while tracing, with `WORLD` behind; a number if all agree."""
-    values = np.asarray(values, np.float64)
-    if (values == values.flat[0]).all():
-        return Scalar(float(values.flat[0]))
-    return Scalar(values[..., None].astype(jnp.result_type(float)))
+def _with_axis(x: Any, axis: int) -> Any:
+    # A third of the time that `x[..., None]` takes to trace.
+    return np.expand_dims(x, axis) if isinstance(x, np.ndarray) else lax.expand_dims(x, (x.ndim + 1 + axis,))
 
 
-def in_lanes(scalars: Sequence[Scalar]) -> Scalar:
-    """One scalar of each lane as one; a single one stays as it is."""
-    if len(scalars) == 1:
-        return scalars[0]
-    if all(isinstance(scalar.value, float) for scalar in scalars):
-        return known([scalar.value for scalar in scalars])
-    values = [jnp.asarray(scalar.value, float) for scalar in scalars]
-    return Scalar(jnp.stack(jnp.broadcast_arrays(*(v if v.ndim else v[None] for v in values))))
+def _sum(x: Any, axis: int) -> Any:
+    return x.sum(axis=axis) if isinstance(x, np.ndarray) else lax.reduce_sum(x, (x.ndim + axis,))
 
 
-def in_order(scalars: Sequence[Scalar]) -> Scalar:
-    """Scalars with an axis that counts them."""
-    if all(isinstance(scalar.value, float) for scalar in scalars):
-        return known([scalar.value for scalar in scalars])
-    return in_lanes(scalars) if len(scalars) > 1 else Scalar(jnp.atleast_1d(scalars[0].value)[None])
+def transposed(matrix: Any) -> Any:
+    """The matrix with rows and columns exchanged; of a rotation its inverse."""
+    return matrix.swapaxes(-4, -3)
 
 
-def stacked(scalars: Sequence[Scalar]) -> Any:
-    """An array of scalars without lanes, with a first axis that counts them."""
-    values = [jnp.broadcast_to(jnp.asarray(scalar.value, float), WORLD) for scalar in scalars]
-    return jnp.stack(values) if values else jnp.zeros((0, *WORLD))
+def symmetric(matrix: Any) -> Any:
+    """A symmetric matrix of its lower triangle, so that no kernel computes the other."""
+    size = matrix.shape[-3]
+    return jnp.where(np.tri(size, dtype=bool)[..., None, None], matrix, transposed(matrix))
 
 
-def lane(scalar: Scalar, index: int) -> Scalar:
-    """Value of a laned body's scalar in one lane."""
-    return scalar if jnp.ndim(scalar.value) < 2 else Scalar(scalar.value[..., index, :])
+def joined(*parts: Any) -> Any:
+    """Vectors one after another, as the two of a spatial vector."""
+    whole = jnp.broadcast_shapes(*(part.shape[-2:] for part in parts))
+    return jnp.concatenate([jnp.broadcast_to(part, (*part.shape[:-2], *whole)) for part in parts], axis=-3)
 
 
-def in_lane(thing: Tree, index: int) -> Tree:
-    """A pytree of scalars of a laned body in one lane."""
-    return jax.tree.map(lambda part: lane(part, index), thing, is_leaf=lambda part: isinstance(part, Scalar))
+def block(a: Any, b: Any, c: Any, d: Any) -> Any:
+    """The 6x6 matrix of the blocks `a b` above `c d`."""
+    whole = jnp.broadcast_shapes(*(part.shape[-2:] for part in (a, b, c, d)))
+    a, b, c, d = (jnp.broadcast_to(part, (*part.shape[:-2], *whole)) for part in (a, b, c, d))
+    rows = [jnp.concatenate(row, axis=-3) for row in ((a, b), (c, d))]
+    return jnp.concatenate(rows, axis=-4)
 
 
-def folded(scalars: Sequence[Scalar], places: Sequence[tuple[int, ...]]) -> list[Scalar]:
-    """The tree's coordinates or degrees of freedom, those of lanes together, from `qpos` or `qvel`."""
-    return [in_lanes([scalars[index] for index in lanes]) for lanes in places]
+def velocity_at(motion: Any, point: Any) -> Any:
+    """The velocity of a body's point at `point`, which is given against the origin."""
+    linear, angular = motion[..., :3, :, :], motion[..., 3:, :, :]
+    return linear + cross(angular, point)
+
+
+def force_at(force: Any, point: Any) -> Any:
+    """A force that acts at `point`, about the origin."""
+    return joined(force, cross(point, force))
+
+
+def in_lane(thing: Thing, index: int) -> Thing:
+    """A pytree of arrays in one lane."""
+    return jax.tree.map(lambda v: v[..., index : index + 1, :] if v.shape[-2] > 1 else v, thing)
+
+
+def folded(array: Any, places: Sequence[tuple[int, ...]]) -> list[Any]:
+    """The tree's coordinates or degrees of freedom, those of lanes together, from `qpos` or `qvel`: (count, 1, 1)."""
+    each = jnp.unstack(array)
+    return [jnp.concatenate([each[index] for index in lanes]) for lanes in places]
 
 
 def unfolded(things: Sequence[Any], places: Sequence[tuple[int, ...]]) -> list[Any]:
-    """The inverse of `folded`; also of pytrees of scalars, such as those of bodies."""
-    found = {index: in_lane(s, i) for s, lanes in zip(things, places, strict=True) for i, index in enumerate(lanes)}
+    """Each lane's own in the order of `places`, which `folded` has put together; also of pytrees."""
+    found = {index: in_lane(thing, i) for thing, at in zip(things, places, strict=True) for i, index in enumerate(at)}
     return [found[index] for index in range(len(found))]
 
 
-def each_of(things: Sequence[Any], make: Callable[[Any], Any]) -> list[Any]:
-    """Return what is made of each thing; of more than `FEW_PAIRS` things equal ones share it.
-
-    Sharing makes a program smaller. It makes the lower body's slower by a fifth: XLA then stores what it would have
-    computed again within each loop.
-    """
-    if len(things) <= FEW_PAIRS:
-        return [make(thing) for thing in things]
-    made = {thing: make(thing) for thing in dict.fromkeys(things)}
-    return [made[thing] for thing in things]
+def over_lanes(tree: Tree, array: Any) -> Any:
+    """The sums over the lanes."""
+    return array.sum(axis=-2, keepdims=True) if array.shape[-2] == tree.lanes else array * float(tree.lanes)
 
 
 def entry_at(values: Any, index: Any) -> Any:
@@ -153,23 +155,17 @@ def with_entry(values: Any, index: Any, new: Any) -> Any:
     return jax.lax.dynamic_update_index_in_dim(values, new, index.astype(jnp.uint32), 0)
 
 
-def in_turn(function: Callable[..., Tree], *rows: Any, count: Any) -> Tree:
-    """`function` of pytrees of scalars with an axis of rows, which it does not mix.
+def in_turn(function: Callable[..., Thing], *rows: Any, count: Any) -> Thing:
+    """`function` of pytrees of arrays with a first axis of rows, which it does not mix.
 
     The first `count` rows are taken in turn, and what others give is 0: a loop's code stays in the cache of
     instructions.
     """
-    leaves, structure = jax.tree.flatten(rows)
-    size, _ = jnp.broadcast_shapes(*(leaf.shape for leaf in leaves))
-    leaves = [jnp.broadcast_to(leaf, (size, 1)) for leaf in leaves]
-
-    def some(index: Any) -> Tree:
-        return function(*structure.unflatten([entry_at(leaf, index) for leaf in leaves]))
-
-    return filled(some, size, count)[1]
+    size = len(jax.tree.leaves(rows)[0])
+    return filled(lambda at: function(*jax.tree.map(lambda v: entry_at(v, at), rows)), size, count)[1]
 
 
-def filled(row: Callable[[Any], Tree], size: Any, count: Any) -> tuple[Any, Tree]:
+def filled(row: Callable[[Any], Thing], size: Any, count: Any) -> tuple[Any, Thing]:
     """How many rows are filled, and `row` of each of the first `count` indices as a pytree of arrays of this size,
     which are else 0."""
 
@@ -181,83 +177,3 @@ def filled(row: Callable[[Any], Tree], size: Any, count: Any) -> tuple[Any, Tree
     start = jnp.int32(0), [jnp.zeros((size, *leaf.shape), leaf.dtype) for leaf in leaves]
     filled, found = jax.lax.while_loop(lambda carry: carry[0] < count, further, start)
     return filled, structure.unflatten(found)
-
-
-def over_lanes(tree: structure.Tree, scalars: Sequence[Scalar]) -> list[Scalar]:
-    """The sums over the lanes; a scalar without the axis is the same in all lanes."""
-
-    def one(scalar: Scalar) -> Scalar:
-        value = scalar.value
-        if jnp.ndim(value) < 2:
-            return scalar * Scalar(float(tree.lanes))
-        if value.shape[-2] == tree.lanes:
-            return Scalar(value.sum(axis=-2))
-        return Scalar(value[..., 0, :]) * Scalar(float(tree.lanes))
-
-    return [one(scalar) for scalar in scalars]
-
-
-def summed(thing: Tree, sums: Callable[[Sequence[Scalar]], list[Scalar]]) -> Tree:
-    """A pytree of scalars, by a function of all of them."""
-    scalars, structure = jax.tree.flatten(thing, is_leaf=lambda part: isinstance(part, Scalar))
-    return structure.unflatten(sums(scalars))
-
-
-def known_axes(axes: Axes) -> Rotation:
-    """Axes of numbers that are known while tracing."""
-    x, y, z = (vector(axis) for axis in axes)
-    return x, y, z
-
-
-def combine(axes: Rotation, v: Vector) -> Vector:
-    """A vector of a frame in the world: the sum of the frame's axes times its components."""
-    return Vector(*(dot((axes[0][i], axes[1][i], axes[2][i]), v) for i in range(3)))
-
-
-def resolve(axes: Rotation, v: Vector) -> Vector:
-    """A vector of the world in a frame: its components along the frame's axes."""
-    return Vector(*(dot(axis, v) for axis in axes))
-
-
-def compose(axes: Rotation, other: Rotation) -> Rotation:
-    """The axes, in the world, of a frame that is turned by `other` against the frame of `axes`."""
-    one, two, three = (combine(axes, axis) for axis in other)
-    return one, two, three
-
-
-def total(motions: Sequence[Spatial]) -> Spatial:
-    """The sum of spatial vectors."""
-    linear = angular = NULL
-    for motion in motions:
-        linear, angular = add(linear, motion.linear), add(angular, motion.angular)
-    return Spatial(linear, angular)
-
-
-def times(factor: Scalar, s: Spatial) -> Spatial:
-    """A number times a spatial vector."""
-    return Spatial(scale(factor, s.linear), scale(factor, s.angular))
-
-
-def power(motion: Spatial, force: Spatial) -> Scalar:
-    """The scalar product of a motion and a force."""
-    return dot(motion.linear, force.linear) + dot(motion.angular, force.angular)
-
-
-def velocity_at(motion: Spatial, point: Vector) -> Vector:
-    """The velocity of a body's point at `point`, which is given against the origin."""
-    return add(motion.linear, cross(motion.angular, point))
-
-
-def force_at(force: Vector, point: Vector) -> Spatial:
-    """A force that acts at `point`, about the origin."""
-    return Spatial(force, cross(point, force))
-
-
-def root(value: Scalar) -> Scalar:
-    """The square root."""
-    return Scalar(jnp.sqrt(value.value))
-
-
-def root_over(value: Scalar) -> Scalar:
-    """The square root's inverse."""
-    return Scalar(jax.lax.rsqrt(value.value))

@@ -1,12 +1,12 @@
 """Bias forces of a tree, velocity terms and gravity, by Newton and Euler's recursion."""
 
 from collections.abc import Sequence
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from humanoid_mjx.mechanics.scalars import NULL, TWO, ZERO, Scalar, Vector, add, cross, dot, scale
-from humanoid_mjx.mechanics.tree.algebra import NOWHERE, Spatial, over_lanes, power, subtract, summed, total
-from humanoid_mjx.mechanics.tree.inertia import Mass
+import numpy as np
+
+from humanoid_mjx.mechanics.tree.algebra import cross, force_at, joined, stacked, turn
+from humanoid_mjx.mechanics.tree.inertia import Mass, felt_forces
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -14,77 +14,54 @@ from humanoid_mjx.mechanics.tree.structure import Tree
 class Drift(NamedTuple):
     """Acceleration of a body while no degree of freedom accelerates."""
 
-    angular: Vector
+    angular: Any
     """Its angular velocity, rad/s."""
-    rate: Vector
+    rate: Any
     """Its angular acceleration."""
-    linear: Vector
+    linear: Any
     """The acceleration of its own origin."""
 
-    def at(self, arm: Vector) -> Vector:
+    def at(self, arm: Any) -> Any:
         """The acceleration of its point at `arm` from its origin."""
-        if all(part.is_known(0.0) for part in arm):
-            return self.linear
-        spinning = cross(self.angular, cross(self.angular, arm))
-        return add(self.linear, add(cross(self.rate, arm), spinning))
+        return self.linear + (cross(self.rate, arm) + cross(self.angular, cross(self.angular, arm)))
+
+    def moved(self, old: Any, new: Any) -> "Drift":
+        """The drift about another origin."""
+        return self if new is old else self._replace(linear=self.at(new - old))
 
 
-def drifts_of(tree: Tree, kinematics: Kinematics, velocity: Sequence[Scalar]) -> list[Drift]:
+def drifts_of(tree: Tree, kinematics: Kinematics, velocity: Sequence[Any]) -> list[Drift]:
     """The drift of each body. `velocity` has the free body's angular part in the world's axes."""
-    still = Drift(NULL, NULL, NULL)
+    still = Drift(*np.zeros((3, 3, 1, 1)))
     found = [still]
     for index, body in enumerate(tree.bodies[1:], 1):
         if index == tree.free:
-            found.append(still._replace(angular=Vector(*velocity[3:6])))
+            found.append(still._replace(angular=stacked(velocity[3:6])))
             continue
         now, place = found[body.parent], kinematics.poses[body.parent].position
-        moved = body.position != (0.0, 0.0, 0.0)
         for joint in body.joints:
+            anchor, turning = kinematics.anchors[joint.dof], velocity[joint.dof] * kinematics.motions[joint.dof]
+            now = now.moved(place, anchor)
             if joint.slides:
-                speed = scale(TWO * velocity[joint.dof], kinematics.motions[joint.dof].linear)
-                linear = now.at(subtract(kinematics.anchors[joint.dof], place))
-                now = now._replace(linear=add(linear, cross(now.angular, speed)))
-                place, moved = kinematics.anchors[joint.dof], False
-                continue
-            anchor = kinematics.anchors[joint.dof]
-            if moved or any(joint.anchor):
-                now = now._replace(linear=now.at(subtract(anchor, place)))
-            place, moved = anchor, False
-            turning = scale(velocity[joint.dof], kinematics.motions[joint.dof].angular)
-            now = Drift(add(now.angular, turning), add(now.rate, cross(now.angular, turning)), now.linear)
-        offset = any(joint.anchor != (0.0, 0.0, 0.0) for joint in body.joints) or moved
-        found.append(now._replace(linear=now.at(subtract(kinematics.poses[index].position, place))) if offset else now)
+                now = now._replace(linear=now.linear + 2.0 * cross(now.angular, turning[:3]))
+            else:
+                rate = now.rate + cross(now.angular, turning[3:])
+                now = Drift(now.angular + turning[3:], rate, now.linear)
+            place = anchor
+        found.append(now.moved(place, kinematics.poses[index].position))
     return found
 
 
 def bias_forces(
-    tree: Tree,
-    kinematics: Kinematics,
-    masses: Sequence[Mass],
-    drifts: Sequence[Drift],
-    gravity: Vector,
-) -> list[Scalar]:
+    tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], drifts: Sequence[Drift], gravity: Any
+) -> list[Any]:
     """Forces of the degrees of freedom with which none of them accelerates, N and N m."""
-    wrenches = [NOWHERE] + [_wrench(mass, drift, gravity) for mass, drift in zip(masses[1:], drifts[1:], strict=True)]
-    forces = [ZERO] * tree.nv
-    for index in reversed(range(1, len(tree.bodies))):
-        body = tree.bodies[index]
-        if index == tree.free:
-            forces[:6] = [*wrenches[index].linear, *wrenches[index].angular]
-        for joint in body.joints:
-            forces[joint.dof] = power(kinematics.motions[joint.dof], wrenches[index])
-        merge = body.laned and not tree.bodies[body.parent].laned
-        wrench = summed(wrenches[index], partial(over_lanes, tree)) if merge else wrenches[index]
-        wrenches[body.parent] = total([wrenches[body.parent], wrench])
-    return forces
+    each = enumerate(zip(masses, drifts[1:], strict=True), 1)
+    return felt_forces(tree, kinematics, {index: _wrench(*both, gravity) for index, both in each})
 
 
-def _wrench(mass: Mass, drift: Drift, gravity: Vector) -> Spatial:
+def _wrench(mass: Mass, drift: Drift, gravity: Any) -> Any:
     """Force that a body's inertia and weight require, about the origin."""
-    force = scale(mass.mass, subtract(drift.at(mass.arm), gravity))
-    # About principal axes u: I a + w x I w = base a + sum more (u (u.a) + (u.w) (w x u)).
-    moment = scale(mass.base, drift.rate)
-    for more, axis in mass.extra:
-        about = scale(more * dot(axis, drift.rate), axis)
-        moment = add(moment, add(about, scale(more * dot(axis, drift.angular), cross(drift.angular, axis))))
-    return Spatial(force, add(moment, cross(mass.center, force)))
+    force = mass.mass * (drift.at(mass.arm) - gravity)
+    moment = turn(mass.inertia, drift.rate) + cross(drift.angular, turn(mass.inertia, drift.angular))
+    return force_at(force, mass.center) + joined(np.zeros((3, 1, 1)), moment)

@@ -4,8 +4,8 @@ A loop carries words rather than flags: a GPU's thread has room for seven flags 
 keeps a byte for each.
 """
 
-from collections import Counter
-from typing import Any, NamedTuple
+import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,34 +15,38 @@ from jaxtyping import Array, Int32
 BITS = 31
 """Flags in a word, whose sign stays 0."""
 
+WEIGHTS = np.left_shift(1, np.arange(BITS, dtype=np.int32))[:, None, None]
 
-class Bits(NamedTuple):
-    """The places of a pytree's flags. Flags of one shape share words of that shape."""
 
-    structure: Any
-    places: list[tuple[Any, int]]
-    """Keys of words, and bits."""
+def pack(flags: Any) -> list[Int32[Array, "..."]]:
+    """The words of a pytree of flags (..., lanes, 1); flags of one number of lanes share words."""
+    found = []
+    for own in _by_lanes(flags).values():
+        each = jnp.concatenate([flag.reshape(-1, *flag.shape[-2:]) for flag in own])
+        parts = (each[first : first + BITS] for first in range(0, len(each), BITS))
+        found.append(
+            jnp.stack([jnp.where(part, WEIGHTS[: len(part)], 0).sum(axis=0, dtype=np.int32) for part in parts])
+        )
+    return found
 
-    @classmethod
-    def of(cls, flags: Any) -> "Bits":
-        """The places of these flags, and of others like them."""
-        leaves, structure = jax.tree.flatten(flags)
-        places, count = [], Counter[tuple[int, ...]]()
-        for leaf in leaves:
-            word, bit = divmod(count[leaf.shape], BITS)
-            places.append(((leaf.shape, word), bit))
-            count[leaf.shape] += 1
-        return cls(structure, places)
 
-    def pack(self, flags: Any) -> list[Int32[Array, "..."]]:
-        """The words of these flags."""
-        words: dict[Any, Any] = {}
-        for (key, bit), flag in zip(self.places, jax.tree.leaves(flags), strict=True):
-            value = jnp.where(flag, np.int32(1 << bit), np.int32(0))
-            words[key] = words[key] | value if key in words else value
-        return list(words.values())
+def unpack(words: list[Int32[Array, "..."]], like: Any) -> Any:
+    """The flags of these words; `like`: flags of the same shapes."""
+    leaves, structure = jax.tree.flatten(like)
+    rest = {}
+    for lanes, own in zip(_by_lanes(like), words, strict=True):
+        flags = (own[:, None] & WEIGHTS) != 0
+        rest[lanes] = flags.reshape(-1, lanes, 1)
+    found = []
+    for leaf in leaves:
+        lanes, count = leaf.shape[-2], math.prod(leaf.shape[:-2])
+        found.append(rest[lanes][:count].reshape(leaf.shape))
+        rest[lanes] = rest[lanes][count:]
+    return structure.unflatten(found)
 
-    def unpack(self, words: list[Int32[Array, "..."]]) -> Any:
-        """The flags of these words."""
-        found = dict(zip(dict.fromkeys(key for key, _ in self.places), words, strict=True))
-        return self.structure.unflatten([found[key] & np.int32(1 << bit) != 0 for key, bit in self.places])
+
+def _by_lanes(flags: Any) -> dict[int, list[Any]]:
+    found: dict[int, list[Any]] = {}
+    for flag in jax.tree.leaves(flags):
+        found.setdefault(flag.shape[-2], []).append(flag)
+    return found

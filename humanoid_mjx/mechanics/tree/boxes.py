@@ -14,8 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.mechanics.scalars import Scalar, Vector, add
-from humanoid_mjx.mechanics.tree.algebra import combine, in_order, known, vector
+from humanoid_mjx.mechanics.tree.algebra import numbers, stacked, turn
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Pairs
 
@@ -74,28 +73,27 @@ class _Best(NamedTuple):
     """True if some axis separates the boxes."""
 
 
-def between_boxes(pairs: Pairs, kinematics: Kinematics) -> tuple[Vector, Vector, Scalar]:
+def between_boxes(pairs: Pairs, kinematics: Kinematics) -> tuple[Any, Any, Any]:
     """Places against the origin, normals and distances, m, of all candidates, pair by pair."""
     one, two = (_placed(boxes[::CONTACTS], kinematics) for boxes in (pairs.ones, pairs.twos))
     place, normal, distance = box_contacts(one, two, pairs.surface.margin)
 
-    def in_turn(value: Any) -> Scalar:
-        by_pair = jnp.moveaxis(jnp.broadcast_to(value, distance.shape), 0, 1)
-        return Scalar(by_pair.reshape(len(pairs.ones), -1))
+    def in_turn(value: Any) -> Any:
+        return jnp.moveaxis(jnp.broadcast_to(value, distance.shape), 0, 1).reshape(-1, 1, 1)
 
-    return Vector(*map(in_turn, place)), Vector(*map(in_turn, normal)), in_turn(distance)
+    return jnp.stack([*map(in_turn, place)], axis=1), jnp.stack([*map(in_turn, normal)], axis=1), in_turn(distance)
 
 
 def _placed(boxes: Sequence[Any], kinematics: Kinematics) -> Placed:
     """Boxes with an axis that counts them."""
-    vectors: list[list[Vector]] = []
+    middles, axes = [], []
     for box in boxes:
-        position, axes = kinematics.of_lane(box.body, box.lane)
-        vectors.append([add(position, combine(axes, vector(box.center)))])
-        vectors[-1] += [combine(axes, vector(axis)) for axis in box.axes]
-    middle, *axes = (tuple(in_order(part).value for part in zip(*v, strict=True)) for v in zip(*vectors, strict=True))
-    half = tuple(known(part).value for part in zip(*(box.half for box in boxes), strict=True))
-    return Placed(middle, tuple(axes), half)
+        pose = kinematics.of_lane(box.body, box.lane)
+        middles.append(pose.position + turn(pose.axes, numbers(box.center)))
+        axes.append([turn(pose.axes, numbers(axis)) for axis in box.axes])
+    middle = tuple(jnp.moveaxis(stacked(middles), 1, 0))
+    each = [tuple(jnp.moveaxis(stacked(axis), 1, 0)) for axis in zip(*axes, strict=True)]
+    return Placed(middle, tuple(each), tuple(np.stack([numbers(box.half) for box in boxes], axis=1)))
 
 
 def box_contacts(one: Placed, two: Placed, margin: float) -> tuple[Triple, Triple, Any]:

@@ -11,26 +11,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.mechanics.scalars import HALF, NULL, ONE, TWO, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
 from humanoid_mjx.mechanics.tree import structure as st
 from humanoid_mjx.mechanics.tree.algebra import (
+    EYE,
     FEW_PAIRS,
-    Rotation,
-    Spatial,
+    column,
+    cross,
+    dot,
     entry_at,
-    known,
-    number,
-    resolve,
-    root,
-    subtract,
-    vector,
+    numbers,
+    scale,
+    turn,
     velocity_at,
 )
 from humanoid_mjx.mechanics.tree.boxes import between_boxes
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.segments import Segment, nearest_points, segments
 
-Friction = tuple[Scalar, Scalar] | None
+Friction = tuple[Any, Any] | None
 
 SMALLEST_SQUARE = 1e-30
 """The square of MuJoCo's smallest length (mjMINVAL)."""
@@ -44,76 +42,74 @@ class Touch(NamedTuple):
     """A contact, or several alike. The second body's acceleration against the first's at its place decides on its
     force."""
 
-    place: Vector
+    place: Any
     """Midway between the surfaces, against the origin, m."""
-    frame: Rotation
-    distance: Scalar
+    frame: Any
+    """Rows: the normal and two tangents."""
+    distance: Any
     """Between the surfaces, m; negative where they overlap."""
     close: Any
     """True if it counts: the distance is within the margin."""
-    weight: Scalar
+    weight: Any
     """1 / R of each facet: the force for a unit of acceleration that is missing, kg."""
-    offset: Vector
+    offset: Any
     """Less its reference acceleration, in its frame: what is added to the acceleration of its place."""
     friction: Friction
 
-    def residual(self, motion: Spatial) -> Vector:
+    def residual(self, motion: Any) -> Any:
         """The contact's acceleration less its reference where the body accelerates by `motion`, in its own frame."""
-        return add(resolve(self.frame, velocity_at(motion, self.place)), self.offset)
+        return turn(self.frame, velocity_at(motion, self.place)) + self.offset
 
-    def facets(self, v: Vector) -> list[Scalar]:
+    def facets(self, v: Any) -> Any:
         """A vector of the contact's frame along each facet of the pyramid."""
+        x, y, z = (v[..., axis, :, :] for axis in range(3))
         if self.friction is None:
-            return [v.x]
-        slips = (self.friction[0] * v.y, self.friction[1] * v.z)
-        return [sum_ for slip in slips for sum_ in (v.x + slip, v.x - slip)]
+            return x[..., None, :, :]
+        y, z = self.friction[0] * y, self.friction[1] * z
+        return column([x + y, x - y, x + z, x - z])
 
-    def active(self, residuals: Sequence[Scalar]) -> list[Any]:
+    def active(self, residuals: Any) -> Any:
         """Mask of the facets that push, by their residuals."""
-        return [self.close & (residual.value < 0.0) for residual in residuals]
+        return self.close[..., None, :, :] & (residuals < 0.0)
 
     def without_flag(self) -> "Touch":
         """The same contact, of which the reference acceleration says that no facet pushes where it is not close.
 
         A GPU's thread has few registers for flags.
         """
-        offset = self.offset._replace(x=Scalar(jnp.where(self.close, self.offset.x.value, NEVER)))
-        return self._replace(offset=offset, close=True)
+        normal = np.arange(3)[:, None, None] == 0
+        offset = jnp.where(normal & ~self.close[..., None, :, :], NEVER, self.offset)
+        return self._replace(offset=offset, close=np.ones((1, 1), bool))
 
-    def force(self, v: Vector) -> Vector:
+    def force(self, v: Any) -> Any:
         """The force on the second body, N, at this residual; both in the contact's frame."""
-        pushes = [
-            Scalar(jnp.where(self.close & (facet.value < 0.0), -self.weight.value * facet.value, 0.0))
-            for facet in self.facets(v)
-        ]
+        facets = self.facets(v)
+        pushes = jnp.where(self.active(facets), -scale(self.weight, facets), 0.0)
         if self.friction is None:
-            return Vector(pushes[0], ZERO, ZERO)
-        (mu, nu), (a, b, c, d) = self.friction, pushes
-        return Vector(a + b + c + d, mu * (a - b), nu * (c - d))
+            return jnp.concatenate([pushes, jnp.zeros_like(pushes), jnp.zeros_like(pushes)], axis=-3)
+        (mu, nu), (a, b, c, d) = self.friction, (pushes[..., facet, :, :] for facet in range(4))
+        return column([a + b + c + d, mu * (a - b), nu * (c - d)])
 
-    def stiffness(self, active: Sequence[Any]) -> Symmetric:
+    def stiffness(self, active: Any) -> Any:
         """Minus the derivative of the force by the residual while these facets push, in the contact's frame."""
-        on = [Scalar(jnp.where(flag, self.weight.value, 0.0)) for flag in active]
+        on = jnp.where(active, self.weight[..., None, :, :], 0.0)
         if self.friction is None:
-            return Symmetric(xx=on[0])
-        (mu, nu), first, second = self.friction, on[0] + on[1], on[2] + on[3]
-        return Symmetric(
-            xx=first + second,
-            xy=mu * (on[0] - on[1]),
-            xz=nu * (on[2] - on[3]),
-            yy=mu * mu * first,
-            zz=nu * nu * second,
-        )
+            return on[..., None, :, :] * np.diag([1.0, 0.0, 0.0])[..., None, None]
+        (mu, nu), (a, b, c, d) = self.friction, (on[..., facet, :, :] for facet in range(4))
+        first, second = a + b, c + d
+        xy, xz, yz = mu * (a - b), nu * (c - d), np.zeros((1, 1))
+        rows = (first + second, xy, xz), (xy, mu * mu * first, yz), (xz, yz, nu * nu * second)
+        return jnp.stack([column(row) for row in rows], axis=-4)
 
 
 class Gap(NamedTuple):
     """The nearest places of two shapes; of several pairs with an axis that counts them."""
 
-    place: Vector
+    place: Any
     """Midway between the surfaces, against the origin, m."""
-    normal: Vector
+    normal: Any
     """From the first to the second."""
-    distance: Scalar
+    distance: Any
     """Between the surfaces, m; negative where they overlap."""
 
 
@@ -124,13 +120,13 @@ GapAt = Callable[[Any], Gap]
 class Stop(NamedTuple):
     """The nearer end of a joint's range."""
 
-    sign: Scalar
+    sign: Any
     """1 at the lower end, -1 at the upper."""
     close: Any
-    weight: Scalar
-    offset: Scalar
+    weight: Any
+    offset: Any
 
-    def residual(self, rate: Scalar) -> Scalar:
+    def residual(self, rate: Any) -> Any:
         """The joint's acceleration into the range less its reference."""
         return self.sign * rate + self.offset
 
@@ -138,87 +134,98 @@ class Stop(NamedTuple):
 class Slip(NamedTuple):
     """Dry friction of a joint: a stiff damper up to its largest force, and that force beyond."""
 
-    weight: Scalar
-    offset: Scalar
-    most: Scalar
+    weight: Any
+    offset: Any
+    most: Any
     """N m"""
 
-    def residual(self, rate: Scalar) -> Scalar:
+    def residual(self, rate: Any) -> Any:
         """The joint's acceleration less its reference."""
         return rate + self.offset
 
-    def active(self, residual: Scalar) -> tuple[Any, Any]:
+    def active(self, residual: Any) -> tuple[Any, Any]:
         """Masks of friction at its largest: against a positive residual, and against a negative one."""
-        force = (self.weight * residual).value
-        return force >= self.most.value, force <= -self.most.value
+        force = self.weight * residual
+        return force >= self.most, force <= -self.most
 
 
-def stop_of(limit: st.Limit, angle: Scalar, speed: Scalar) -> Stop:
+def stop_of(limit: st.Limit, angle: Any, speed: Any) -> Stop:
     """The joint's range at an angle and speed."""
-    above, below = angle - number(limit.lower), number(limit.upper) - angle
-    nearer = above.value < below.value
-    sign = Scalar(jnp.where(nearer, 1.0, -1.0).astype(above.value.dtype))
-    distance = Scalar(jnp.minimum(above.value, below.value))
-    close, weight, push = _soft(limit.softness, distance, number(limit.margin), number(limit.inverse_weight))
-    return Stop(sign, close, weight, Scalar(limit.softness.damping) * sign * speed + push)
+    above, below = angle - numbers(limit.lower), numbers(limit.upper) - angle
+    sign = jnp.where(above < below, 1.0, -1.0).astype(above.dtype)
+    distance, margin = jnp.minimum(above, below), numbers(limit.margin)
+    close, weight, push = _soft(limit.softness, distance, margin, numbers(limit.inverse_weight))
+    return Stop(sign, close, weight, limit.softness.damping * sign * speed + push)
 
 
-def slip_of(dry: st.Dry, speed: Scalar) -> Slip:
+def slip_of(dry: st.Dry, speed: Any) -> Slip:
     """A joint's dry friction at a speed."""
-    impedance = _impedance(dry.softness, ZERO)
-    weight = impedance / ((ONE - impedance) * number(dry.inverse_weight))
-    return Slip(weight, Scalar(dry.softness.damping) * speed, number(dry.most))
+    impedance = _impedance(dry.softness, 0.0)
+    weight = impedance / ((1.0 - impedance) * numbers(dry.inverse_weight))
+    return Slip(weight, dry.softness.damping * speed, numbers(dry.most))
 
 
 def ground_touch(
-    points: st.GroundPoints, kinematics: Kinematics, motions: Sequence[Spatial], friction: Friction, terrain: Any = None
+    tree: st.Tree,
+    points: st.GroundPoints,
+    kinematics: Kinematics,
+    motions: Sequence[Any],
+    friction: Friction,
+    terrain: Any,
 ) -> Touch:
-    """The contacts of points that a plane or a `Terrain` pushes, where the bodies move by `motions`."""
-    center, normal, radius = ground_center(points, kinematics), vector(points.normal), number(points.radius)
-    height = dot(normal, center) + (dot(normal, kinematics.origin) - number(points.height))
+    """The contacts of points that a plane or a `Terrain` pushes, where the bodies move by `motions`; point by point."""
+    laned, normal = tree.bodies[points.body].laned, numbers(points.normal)
+    center, radius = ground_center(points, kinematics, laned), _each(points.radius, laned)
+    height = dot(normal, center) + (dot(normal, kinematics.origin) - points.height)
     if terrain is not None and terrain.shaped:
-        height, normal = terrain.nearest(add(kinematics.origin, center)._replace(z=height), points.upper)
+        at = kinematics.origin + center
+        at = jnp.concatenate([at[..., :2, :, :], height[..., None, :, :]], axis=-3)
+        height, normal = terrain.nearest(at, points.upper)
     distance = height - radius
-    place = subtract(center, scale(radius + HALF * distance, normal))
+    place = center - scale(radius + 0.5 * distance, normal)
     along = None if points.along is None else kinematics.direction(points.body, points.along)
     frame, velocity = _frame(normal, along), velocity_at(motions[points.body], place)
     return _touch(points.surface, place, frame, distance, velocity, friction)
 
 
-def ground_center(points: st.GroundPoints, kinematics: Kinematics) -> Vector:
+def _each(what: Any, laned: bool) -> np.ndarray:
+    """Numbers, or vectors, with a first axis of points."""
+    found, of_vectors = numbers(what, (1,) if laned else (1, 1)), not isinstance(what, float | st.Table)
+    found = np.moveaxis(found, 0, -3) if of_vectors else found
+    return found if found.ndim > 2 + of_vectors else found[None]
+
+
+def ground_center(points: st.GroundPoints, kinematics: Kinematics, laned: bool) -> Any:
     """The middles of the balls that the plane pushes, against the origin; points of other shapes have no radius."""
-    middle, shape, normal = kinematics.place(points.body, points.center), points.shape, vector(points.normal)
+    shape, normal = points.shape, numbers(points.normal)
+    middle = kinematics.place(points.body, _each(points.center, laned))
     if shape is None:
         return middle
     if isinstance(shape, st.Corner):
-        return add(middle, _downwards(kinematics.direction(points.body, shape.half), normal))
+        return middle + _downwards(kinematics.direction(points.body, _each(shape.half, laned)), normal)
     if isinstance(shape, st.Lowest):
-        arm = NULL
         axes = [kinematics.direction(points.body, axis) for axis in shape.axes]
-        reach = [number(radius) * dot(axis, normal) for radius, axis in zip(shape.radii, axes, strict=True)]
-        length = root(dot(reach, reach))
-        for radius, axis, part in zip(shape.radii, axes, reach, strict=True):
-            arm = add(arm, scale(number(radius) * part / length, axis))
-        return subtract(middle, arm)
+        reach = [numbers(radius) * dot(axis, normal) for radius, axis in zip(shape.radii, axes, strict=True)]
+        length = jnp.sqrt(dot(column(reach), column(reach)))
+        arms = [numbers(r) * part / length * axis for r, part, axis in zip(shape.radii, reach, axes, strict=True)]
+        return middle - sum(arms)
     axis = _downwards(kinematics.direction(points.body, shape.axis), normal)
-    down = subtract(scale(dot(axis, normal), axis), normal)
-    square = dot(down, down).value
+    down = dot(axis, normal) * axis - normal
+    square, half, radius = dot(down, down), numbers(shape.half_length) * axis, numbers(shape.radius)
     level = square < SMALLEST_SQUARE
-    down = scale(number(shape.radius) / root(Scalar(jnp.where(level, 1.0, square))), down)
-    side = scale(number(shape.radius), kinematics.direction(points.body, shape.side))
-    down = Vector(*(Scalar(jnp.where(level, b.value, a.value)) for a, b in zip(down, side, strict=True)))
-    end = add(middle, scale(number(shape.half_length), axis))
+    side = radius * kinematics.direction(points.body, shape.side)
+    down = jnp.where(level, side, radius / jnp.sqrt(jnp.where(level, 1.0, square)) * down)
     if shape.which == "lowest":
-        return add(end, down)
+        return middle + half + down
     if shape.which == "opposite":
-        return add(subtract(middle, scale(number(shape.half_length), axis)), down)
-    across = scale(Scalar(0.75**0.5 * (1.0 if shape.which == "left" else -1.0)), cross(down, axis))
-    return add(end, subtract(across, scale(HALF, down)))
+        return middle - half + down
+    across = (0.75**0.5 if shape.which == "left" else -(0.75**0.5)) * cross(down, axis)
+    return middle + half - (across - 0.5 * down)
 
 
-def _downwards(way: Vector, normal: Vector) -> Vector:
+def _downwards(way: Any, normal: Any) -> Any:
     """The direction or its opposite, whichever leads down."""
-    return scale(Scalar(jnp.where(dot(way, normal).value > 0.0, -1.0, 1.0)), way)
+    return scale(jnp.where(dot(way, normal) > 0.0, -1.0, 1.0), way)
 
 
 def _gaps(pairs: st.Pairs, kinematics: Kinematics) -> Gap:
@@ -231,104 +238,92 @@ def _gaps(pairs: st.Pairs, kinematics: Kinematics) -> Gap:
 def pair_gap_at(pairs: st.Pairs, kinematics: Kinematics) -> GapAt:
     """The gap of the pair of a number: that of many capsules is computed when asked for."""
     if len(pairs.ones) <= FEW_PAIRS or isinstance(pairs.ones[0], st.Box):
-        gaps = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(pairs.ones), 1)), _gaps(pairs, kinematics))
+        gaps = _gaps(pairs, kinematics)
         return lambda index: jax.tree.map(lambda v: entry_at(v, index), gaps)
     every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
-    table = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(every), 1)), _capsules(every, kinematics))
+    table = _capsules(every, kinematics)
     # Of type float: Triton takes equal numbers for one operand, and integers are those of addresses, too.
-    numbers = [np.array([[every.index(shape)] for shape in shapes], np.float32) for shapes in (pairs.ones, pairs.twos)]
+    places = [np.array([[every.index(shape)] for shape in shapes], np.float32) for shapes in (pairs.ones, pairs.twos)]
 
     def at(index: Any) -> Gap:
-        each = (entry_at(column, index)[0] for column in numbers)
-        return Gap(*_between(*(jax.tree.map(lambda v, number=number: entry_at(v, number), table) for number in each)))
+        each = (entry_at(numbers_, index)[0] for numbers_ in places)
+        return Gap(*_between(*(jax.tree.map(lambda v, place=place: entry_at(v, place), table) for place in each)))
 
     return at
 
 
-def pair_touch(surface: st.Surface, gap: Gap, velocity: Vector, friction: Friction) -> Touch:
+def pair_touch(surface: st.Surface, gap: Gap, velocity: Any, friction: Friction) -> Touch:
     """The contact of two shapes that part by `velocity`, m/s, at the place of their gap."""
     # Without friction no one reads the tangents, and a compiler leaves them out.
     return _touch(surface, gap.place, _frame(gap.normal, None), gap.distance, velocity, friction)
 
 
-def _capsules(shapes: Sequence[st.Capsule], kinematics: Kinematics) -> tuple[Segment, Scalar]:
+def _capsules(shapes: Sequence[st.Capsule], kinematics: Kinematics) -> tuple[Segment, Any]:
     """Segments and radii."""
-    return segments(shapes, kinematics), known([shape.radius for shape in shapes])
+    return segments(shapes, kinematics), np.stack([numbers(shape.radius) for shape in shapes])
 
 
-def _between(first: tuple[Segment, Scalar], second: tuple[Segment, Scalar]) -> tuple[Vector, Vector, Scalar]:
+def _between(first: tuple[Segment, Any], second: tuple[Segment, Any]) -> tuple[Any, Any, Any]:
     (one, radius), (two, other) = first, second
     one, two = nearest_points(one, two)
-    between = subtract(two, one)
+    between = two - one
     square = dot(between, between)
     # Centres that meet have no direction; MuJoCo takes one as well.
-    meet = square.value <= 0.0
-    length = root(Scalar(jnp.where(meet, 1.0, square.value)))
-    normal = scale(ONE / length, between)
-    normal = normal._replace(x=Scalar(jnp.where(meet, 1.0, normal.x.value)))
-    distance = Scalar(jnp.where(meet, 0.0, length.value)) - (radius + other)
-    place = add(one, scale(radius + HALF * distance, normal))
-    return place, normal, distance
+    meet = square <= 0.0
+    length = jnp.sqrt(jnp.where(meet, 1.0, square))
+    normal = scale(1.0 / length, between)
+    normal = jnp.where(meet[..., None, :, :], EYE[0], normal)
+    distance = jnp.where(meet, 0.0, length) - (radius + other)
+    return one + scale(radius + 0.5 * distance, normal), normal, distance
 
 
-def _touch(
-    surface: st.Surface, place: Vector, frame: Rotation, distance: Scalar, velocity: Vector, friction: Friction
-) -> Touch:
-    inverse = number(surface.inverse_weight)
+def _touch(surface: st.Surface, place: Any, frame: Any, distance: Any, velocity: Any, friction: Friction) -> Touch:
+    inverse = surface.inverse_weight
+    inverse = numbers(inverse) if isinstance(inverse, float | st.Table) else inverse
     if friction is not None:
         square = friction[0] * friction[0]
-        inverse = TWO * square * inverse * (ONE + square) / Scalar(surface.impratio)
-    close, weight, push = _soft(surface.softness, distance, number(surface.margin), inverse)
-    offset = scale(Scalar(surface.softness.damping), resolve(frame, velocity))
-    return Touch(place, frame, distance, close, weight, offset._replace(x=offset.x + push), friction)
+        inverse = 2.0 * square * inverse * (1.0 + square) / surface.impratio
+    close, weight, push = _soft(surface.softness, distance, surface.margin, inverse)
+    offset = surface.softness.damping * turn(frame, velocity) + scale(push, EYE[0])
+    return Touch(place, frame, distance, close, weight, offset, friction)
 
 
-def _soft(softness: st.Softness, distance: Scalar, margin: Scalar, inverse: Scalar) -> tuple[Any, Scalar, Scalar]:
+def _soft(softness: st.Softness, distance: Any, margin: Any, inverse: Any) -> tuple[Any, Any, Any]:
     """Activity of a constraint, its weight 1 / R, and the part of its reference acceleration due to position."""
     violation = distance - margin
-    close = violation.value < 0.0
     impedance = _impedance(softness, violation)
-    weight = impedance / ((ONE - impedance) * inverse)
-    return close, weight, Scalar(softness.stiffness) * impedance * violation
+    weight = impedance / ((1.0 - impedance) * inverse)
+    return violation < 0.0, weight, softness.stiffness * impedance * violation
 
 
-def _impedance(softness: st.Softness, violation: Scalar) -> Scalar:
+def _impedance(softness: st.Softness, violation: Any) -> Any:
     """`solimp`: from `dmin` to `dmax` over `width`, along two powers that meet at the midpoint."""
     low, high, middle, power = softness.dmin, softness.dmax, softness.midpoint, softness.power
     if low == high or softness.width <= 1e-15:
-        return Scalar(0.5 * (low + high))
-    if violation.is_known(0.0):
-        return Scalar(low)
-    x = jnp.minimum(jnp.abs(violation.value) * (1.0 / softness.width), 1.0)
+        return 0.5 * (low + high)
+    if isinstance(violation, float):
+        return low
+    x = jnp.minimum(jnp.abs(violation) * (1.0 / softness.width), 1.0)
     if power == 1.0:
         y = x
     else:
         rise, fall = 1.0 / middle ** (power - 1.0), 1.0 / (1.0 - middle) ** (power - 1.0)
         power = int(power) if float(power).is_integer() else power  # in a kernel a square is one product, a power 70
         y = jnp.where(x <= middle, rise * x**power, 1.0 - fall * (1.0 - x) ** power)
-    return Scalar(low + (high - low) * y)
+    return low + (high - low) * y
 
 
-def _frame(normal: Vector, along: Vector | None) -> Rotation:
+def _frame(normal: Any, along: Any) -> Any:
     """MuJoCo's tangents: the first follows `along` where that is not too near the normal, else an axis of the world."""
-    given = along is not None
-    if along is None and isinstance(normal.y.value, float):
-        sideways = abs(normal.y.value) < 0.5
-        along = Vector(ZERO, ONE if sideways else ZERO, ZERO if sideways else ONE)
-    elif along is None:
-        sideways = jnp.abs(normal.y.value) < 0.5
-        y = sideways.astype(normal.y.value.dtype)
-        along = Vector(ZERO, Scalar(y), Scalar(1.0 - y))
-    tangent = subtract(along, scale(dot(normal, along), normal))
-    square = dot(tangent, tangent)
-    if isinstance(square.value, float):
-        tangent = scale(Scalar(square.value**-0.5), tangent)
-    else:
-        tangent = scale(ONE / root(Scalar(jnp.maximum(square.value, SMALLEST_SQUARE))), tangent)
+    given, lib = along is not None, np if along is None and isinstance(normal, np.ndarray) else jnp
+    if along is None:
+        sideways = lib.where(abs(normal[..., 1:2, :, :]) < 0.5, 1.0, 0.0)
+        along = sideways * EYE[1] + (1.0 - sideways) * EYE[2]
+    tangent = along - dot(normal, along)[..., None, :, :] * normal
+    square = dot(tangent, tangent)[..., None, :, :]
+    tangent = 1.0 / lib.sqrt(lib.maximum(square, SMALLEST_SQUARE)) * tangent
     if given:
         # Along the normal itself there is no tangent; MuJoCo takes an axis of the world.
-        upright = square.value < SMALLEST_SQUARE
-        tangent = Vector(
-            *(Scalar(jnp.where(upright, x, t.value)) for x, t in zip((1.0, 0.0, 0.0), tangent, strict=True))
-        )
-    return normal, tangent, cross(normal, tangent)
+        tangent = jnp.where(square < SMALLEST_SQUARE, EYE[0], tangent)
+    rows = lib.broadcast_arrays(normal, tangent, cross(normal, tangent))
+    return lib.stack(rows, axis=-4)

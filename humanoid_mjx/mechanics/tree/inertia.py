@@ -3,162 +3,168 @@
 See R. Featherstone, "Rigid Body Dynamics Algorithms" (2008): chapter 6 for the matrix, section 6.5 for the factors.
 """
 
-from collections.abc import Sequence
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
-from humanoid_mjx.mechanics.scalars import NULL, ONE, ZERO, Scalar, Symmetric, Vector, add, cross, dot, scale
+import jax.numpy as jnp
+import numpy as np
+
 from humanoid_mjx.mechanics.tree.algebra import (
-    Spatial,
-    combine,
-    isotropic,
-    number,
-    outer,
+    EYE,
+    block,
+    cross,
+    dot,
+    numbers,
     over_lanes,
-    power,
-    summed,
-    vector,
+    stacked,
+    symmetric,
+    transposed,
+    turn,
 )
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Tree
 
-Matrix = list[list[Scalar]]
-"""The lower triangle of a symmetric matrix, row by row."""
+Matrix = list[Any]
+"""Rows of a symmetric matrix by degree of freedom: entries at those that move the same bodies, itself the last.
+All others are 0, or stand in the rows of other degrees of freedom."""
 
 
 class Mass(NamedTuple):
     """A body's mass in the world's axes."""
 
-    mass: Scalar
-    center: Vector
+    mass: Any
+    center: Any
     """Centre of mass against the origin, m."""
-    arm: Vector
+    arm: Any
     """From the body's own origin to the centre of mass."""
-    base: Scalar
-    """The moment of inertia about the centre of mass across all principal axes in `extra`."""
-    extra: tuple[tuple[Scalar, Vector], ...]
-    """By how much more about which principal axes. Bodies of revolution have one, balls none."""
+    inertia: Any
+    """The inertia about the centre of mass."""
 
-    def rotational(self) -> Symmetric:
-        """The inertia about the centre of mass."""
-        found = isotropic(self.base)
-        for more, axis in self.extra:
-            found = found.plus(outer(more, axis))
-        return found
+    def spatial(self) -> Any:
+        """The 6x6 inertia about the origin, from motions to forces (Steiner's theorem)."""
+        first = self.mass * self.center
+        across = transposed(cross(first, EYE))
+        shift = cross(cross(self.center, EYE), first)
+        return block(self.mass * EYE, transposed(across), across, symmetric(self.inertia + shift))
 
 
-class Composite(NamedTuple):
-    """Mass, first moment and rotational inertia about the origin."""
-
-    mass: Scalar
-    first: Vector
-    second: Symmetric
-
-    def plus(self, other: "Composite") -> "Composite":
-        """Both together."""
-        return Composite(self.mass + other.mass, add(self.first, other.first), self.second.plus(other.second))
-
-    def apply(self, motion: Spatial) -> Spatial:
-        """The force that accelerates it by `motion`."""
-        force = add(scale(self.mass, motion.linear), cross(motion.angular, self.first))
-        return Spatial(force, add(cross(self.first, motion.linear), self.second.apply(motion.angular)))
-
-
-def masses_of(tree: Tree, kinematics: Kinematics, factors: Sequence[Scalar]) -> list[Mass]:
-    """The bodies' masses in one posture, their models' times `factors`; the world has none."""
-    found = [Mass(ZERO, NULL, NULL, ZERO, ())]
+def masses_of(tree: Tree, kinematics: Kinematics, factors: Sequence[Any]) -> list[Mass]:
+    """The bodies' masses in one posture, their models' times `factors`, but for the world's."""
+    found = []
     for index, (body, factor) in enumerate(zip(tree.bodies[1:], factors[1:], strict=True), 1):
-        pose = kinematics.poses[index]
-        arm = combine(pose.axes, vector(body.center))
-        extra = tuple((factor * number(more), kinematics.direction(index, axis)) for more, axis in body.extra)
-        mass, moment = factor * number(body.mass), factor * number(body.moment)
-        found.append(Mass(mass, add(pose.position, arm), arm, moment, extra))
+        arm, inertia = kinematics.direction(index, body.center), numbers(body.moment) * EYE
+        for more, axis in body.extra:
+            axis = kinematics.direction(index, axis)
+            inertia = inertia + numbers(more) * axis[:, None] * axis
+        position, mass = kinematics.poses[index].position, factor * numbers(body.mass)
+        found.append(Mass(mass, position + arm, arm, symmetric(factor * inertia)))
     return found
 
 
-def mass_matrix(tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], armature: Sequence[Scalar]) -> Matrix:
+def mass_matrix(tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], armature: Sequence[Any]) -> Matrix:
     """The inertia that the degrees of freedom feel, the free body's in the world's axes."""
-    matrix: Matrix = [[ZERO] * (row + 1) for row in range(tree.nv)]
-    composites = [_composite(mass) for mass in masses]
-    for index in reversed(range(1, len(tree.bodies))):
-        body, composite, moving = tree.bodies[index], composites[index], tree.moving(index)
+    rows = felt(tree, kinematics, {index: mass.spatial() for index, mass in enumerate(masses, 1)})
+    return [with_diagonal(row, more) for row, more in zip(rows, armature, strict=True)]
+
+
+def with_diagonal(row: Any, more: Any) -> Any:
+    """A row with something added to its diagonal."""
+    return jnp.concatenate([row[:-1], (row[-1] + more)[None]])
+
+
+def felt(tree: Tree, kinematics: Kinematics, matrices: dict[int, Any]) -> Matrix:
+    """The degrees of freedom's share in 6x6 matrices of the bodies, from motions to forces; see `inward`."""
+    rows: Matrix = [np.zeros((len(tree.above(dof)), 1, 1)) for dof in range(tree.nv)]
+    for index in inward(tree, matrices):
         for dof in tree.own(index):
-            force = composite.apply(kinematics.motions[dof])
-            for other in moving[: moving.index(dof) + 1]:
-                matrix[dof][other] = power(kinematics.motions[other], force)
-            matrix[dof][dof] = matrix[dof][dof] + armature[dof]
+            force = turn(matrices[index], kinematics.motions[dof])
+            rows[dof] = dot(stacked([kinematics.motions[other] for other in tree.above(dof)]), force)
+    return rows
+
+
+def felt_forces(tree: Tree, kinematics: Kinematics, wrenches: dict[int, Any]) -> list[Any]:
+    """The degrees of freedom's share in forces on the bodies; see `inward`."""
+    forces = [np.zeros((1, 1))] * tree.nv
+    for index in inward(tree, wrenches):
+        for dof in tree.own(index):
+            forces[dof] = dot(kinematics.motions[dof], wrenches[index])
+    return forces
+
+
+def inward(tree: Tree, things: dict[int, Any]) -> Iterator[int]:
+    """The bodies from the leaves to the root, whose arrays in `things` add to those of their parents."""
+    for index in reversed(range(1, len(tree.bodies))):
+        if index not in things:
+            continue
+        yield index
+        body, thing = tree.bodies[index], things[index]
         if body.laned and not tree.bodies[body.parent].laned:
-            composite = summed(composite, partial(over_lanes, tree))
-        composites[body.parent] = composites[body.parent].plus(composite)
-    return matrix
+            thing = over_lanes(tree, thing)
+        things[body.parent] = things[body.parent] + thing if body.parent in things else thing
 
 
 class Factors(NamedTuple):
-    """L and D of `A = L^T D L`: what joins a degree of freedom to none of another branch stays known to be 0."""
+    """L and D of `A = L^T D L`, which have the sparsity of A."""
 
     lower: Matrix
-    inverse: list[Scalar]
+    """Rows without the diagonal, which is 1."""
+    inverse: list[Any]
     """1 / D"""
-    stem: int
-    """Number of degrees of freedom before those of lanes, which are the last."""
     tree: Tree
 
-    def solve(self, right: Sequence[Scalar]) -> list[Scalar]:
+    def solve(self, right: Sequence[Any]) -> list[Any]:
         """x of `A x = right`."""
-        x, size, stem = list(right), len(right), self.stem
-        for row in reversed(range(stem, size)):
-            for column in range(stem, row):
-                x[column] = x[column] - self.lower[row][column] * x[row]
-        if size > stem:
-            felt = [dot([self.lower[row][column] for row in range(stem, size)], x[stem:]) for column in range(stem)]
-            x[:stem] = [a - b for a, b in zip(x[:stem], over_lanes(self.tree, felt), strict=True)]
-        for row in reversed(range(stem)):
-            for column in range(row):
-                x[column] = x[column] - self.lower[row][column] * x[row]
-        for row in range(size):
-            x[row] = x[row] * self.inverse[row] - dot(self.lower[row][:row], x[:row])
+        x, lanes = list(right), _Lanes(self.tree, {})
+        for last in reversed(range(len(x))):
+            x[last] = x[last] - lanes.sum_for(last)
+            *above, _ = self.tree.above(last)
+            for row, change in zip(above, jnp.unstack(self.lower[last] * x[last]), strict=True):
+                x[row] = lanes.less(last, row, x[row], change)
+        for row, inverse in enumerate(self.inverse):
+            *above, _ = self.tree.above(row)
+            felt = (self.lower[row] * stacked([x[other] for other in above])).sum(axis=0) if above else 0.0
+            x[row] = x[row] * inverse - felt
         return x
 
 
 def factor(tree: Tree, matrix: Matrix) -> Factors:
     """The factors of a symmetric, positive definite matrix, from the leaves of the tree to its root."""
-    rows, size = [list(row) for row in matrix], tree.nv
-    stem = next((dof for dof in range(size) if tree.laned(dof)), size)
-    inverse, passed = [ZERO] * size, [[ZERO] * (row + 1) for row in range(stem)]
-    for last in reversed(range(size)):
-        if last == stem - 1 < size - 1:
-            changes = iter(over_lanes(tree, [change for row in passed for change in row]))
-            for row in range(stem):
-                rows[row] = [entry - next(changes) for entry in rows[row]]
-        inverse[last] = ONE / rows[last][last]
-        below = rows[last][:last]
-        rows[last] = [entry * inverse[last] for entry in below]
-        for row in range(last):
-            for column in range(row + 1):
-                change = rows[last][row] * below[column]
-                if row < stem <= last:
-                    passed[row][column] = passed[row][column] + change
-                else:
-                    rows[row][column] = rows[row][column] - change
-    return Factors(rows, inverse, stem, tree)
+    rows, lower, inverse, lanes = list(matrix), list(matrix), [None] * tree.nv, _Lanes(tree, {})
+    for last in reversed(range(tree.nv)):
+        row = rows[last] - lanes.sum_for(last)
+        inverse[last], below = 1.0 / row[-1], row[:-1]
+        lower[last] = below * inverse[last]
+        *above, _ = tree.above(last)
+        for place, (other, share) in enumerate(zip(above, jnp.unstack(lower[last]), strict=True), 1):
+            rows[other] = lanes.less(last, other, rows[other], share * below[:place])
+    return Factors(lower, inverse, tree)
 
 
-def product(tree: Tree, matrix: Matrix, x: Sequence[Scalar]) -> list[Scalar]:
-    """The matrix, given by its lower triangle, times a vector."""
-    found = []
-    for row in range(tree.nv):
-        total = dot(matrix[row], x[: row + 1])
-        for other in range(row + 1, tree.nv):
-            part = matrix[other][row] * x[other]
-            total = total + (over_lanes(tree, [part])[0] if tree.laned(other) > tree.laned(row) else part)
-        found.append(total)
+class _Lanes(NamedTuple):
+    """What lanes change of rows of the stem, which is summed over them once."""
+
+    tree: Tree
+    changes: dict[int, Any]
+
+    def less(self, last: int, row: int, value: Any, change: Any) -> Any:
+        """A row's value less the change by a row beyond it; that of a lane is kept for later."""
+        if not self.tree.laned(last) or self.tree.laned(row):
+            return value - change
+        self.changes[row] = self.changes[row] + change if row in self.changes else change
+        return value
+
+    def sum_for(self, row: int) -> Any:
+        """The sum of the changes of all lanes."""
+        return over_lanes(self.tree, self.changes[row]) if row in self.changes else 0.0
+
+
+def product(tree: Tree, matrix: Matrix, x: Sequence[Any]) -> list[Any]:
+    """The matrix times a vector."""
+    found = [np.zeros((1, 1))] * tree.nv
+    for row, entries in enumerate(matrix):
+        *above, _ = tree.above(row)
+        for other, entry in zip(above, entries, strict=False):
+            part = entry * x[row]
+            found[other] = found[other] + (over_lanes(tree, part) if tree.laned(row) > tree.laned(other) else part)
+        found[row] = found[row] + (entries * stacked([x[other] for other in (*above, row)])).sum(axis=0)
     return found
-
-
-def _composite(mass: Mass) -> Composite:
-    """About the origin (Steiner's theorem)."""
-    first = scale(mass.mass, mass.center)
-    c = mass.center
-    xx, yy, zz = first.x * c.x, first.y * c.y, first.z * c.z
-    shift = Symmetric(yy + zz, -(first.x * c.y), -(first.x * c.z), xx + zz, -(first.y * c.z), xx + yy)
-    return Composite(mass.mass, first, mass.rotational().plus(shift))

@@ -1,160 +1,136 @@
 """Kinematics of a tree: poses of its bodies, and their velocities by degree of freedom.
 
 Vectors have the axes of the world and start at one origin: that of the free body, or of the world where there is none.
-Angular velocities of the free body are the world's in here, its own frame's in `qvel`.
+Angular velocities of the free body are the world's in here, its own frame's in `qvel`. Shapes are those of `algebra`.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
-from humanoid_mjx.mechanics.scalars import NULL, ONE, TWO, Scalar, Vector, add, cross, scale
+from humanoid_mjx.mechanics.rotations import rotation_matrix
 from humanoid_mjx.mechanics.tree.algebra import (
-    UNTURNED,
-    Rotation,
-    Spatial,
-    combine,
+    EYE,
+    column,
     compose,
+    cross,
+    dot,
     in_lane,
-    known,
-    known_axes,
-    number,
-    root_over,
-    subtract,
-    times,
-    total,
-    vector,
+    joined,
+    numbers,
+    transposed,
+    turn,
 )
-from humanoid_mjx.mechanics.tree.structure import Joint, Table, Tree, Triple
+from humanoid_mjx.mechanics.tree.structure import Axes, Joint, Tree, Triple
 
 
 class Pose(NamedTuple):
-    """Pose of a body: its origin, m, and its axes."""
+    """Pose of a body: its origin, m, and its rotation."""
 
-    position: Vector
-    axes: Rotation
+    position: Any
+    axes: Any
+    """The body's axes in the world as columns."""
 
 
 class Kinematics(NamedTuple):
     """A tree in one posture."""
 
-    origin: Vector
+    origin: Any
     """In the world, m."""
     poses: tuple[Pose, ...]
-    anchors: dict[int, Vector]
+    anchors: dict[int, Any]
     """A point on the axis of each hinge, and the moved origin of a slide's body, by degree of freedom."""
-    motions: tuple[Spatial, ...]
-    """Velocities that a unit of each degree of freedom gives to the bodies that it moves."""
+    motions: tuple[Any, ...]
+    """Spatial velocities that a unit of each degree of freedom gives to the bodies that it moves."""
 
     def of_lane(self, body: int, index: int) -> Pose:
         """A body's pose in one lane; that of a body without lanes."""
         return in_lane(self.poses[body], index)
 
-    def place(self, body: int, point: Triple) -> Vector:
+    def place(self, body: int, point: Any) -> Any:
         """A point of a body's frame, against the origin."""
-        pose = self.poses[body]
-        return add(pose.position, combine(pose.axes, vector(point)))
+        return self.poses[body].position + self.direction(body, point)
 
-    def direction(self, body: int, axis: Triple) -> Vector:
+    def direction(self, body: int, axis: Any) -> Any:
         """A direction of a body's frame."""
-        return combine(self.poses[body].axes, vector(axis))
+        return turn(self.poses[body].axes, numbers(axis) if isinstance(axis, tuple) else axis)
 
 
-def make_kinematics(tree: Tree, qpos: Sequence[Scalar]) -> Kinematics:
+def make_kinematics(tree: Tree, qpos: Sequence[Any]) -> Kinematics:
     """The bodies' poses at `qpos`, whose quaternion, if there is one, need not have length 1."""
-    origin = Vector(*qpos[:3]) if tree.free is not None else NULL
-    poses = [Pose(Vector(-origin.x, -origin.y, -origin.z), UNTURNED)]
-    anchors: dict[int, Vector] = {}
-    motions = [Spatial(axis, NULL) for axis in UNTURNED] + [Spatial(NULL, axis) for axis in UNTURNED]
-    if tree.free is None:
-        motions = []
+    free = tree.free is not None
+    origin = column(qpos[:3]) if free else np.zeros((3, 1, 1))
+    poses, anchors = [Pose(-origin, EYE)], dict[int, Any]()
+    motions = list(np.eye(6)[..., None, None]) if free else []
     for index, body in enumerate(tree.bodies[1:], 1):
         if index == tree.free:
-            poses.append(Pose(NULL, rotation(unit(qpos[3:7]))))
+            axes = rotation_matrix(unit(column(qpos[3:7]))[:, 0, 0])[..., None, None]
+            poses.append(Pose(np.zeros((3, 1, 1)), axes))
             continue
         parent = poses[body.parent]
-        position = add(parent.position, combine(parent.axes, vector(body.position)))
+        position = _moved(parent.position, parent.axes, body.position)
         axes = compose(parent.axes, known_axes(body.axes))
         for joint in body.joints:
-            anchor = add(position, combine(axes, vector(joint.anchor)))
-            axis = combine(axes, vector(joint.axis))
+            anchor = _moved(position, axes, joint.anchor)
+            axis, way = turn(axes, numbers(joint.axis)), qpos[joint.coordinate] - numbers(joint.reference)
             if joint.slides:
-                position = add(position, scale(qpos[joint.coordinate] - number(joint.reference), axis))
-                anchors[joint.dof] = position
-                motions.append(Spatial(axis, NULL))
+                position = anchors[joint.dof] = position + way * axis
+                motions.append(joined(axis, np.zeros((3, 1, 1))))
                 continue
-            axes = compose(axes, _turned(joint, qpos[joint.coordinate]))
-            position = subtract(anchor, combine(axes, vector(joint.anchor))) if any(joint.anchor) else position
+            axes = compose(axes, _turned(joint, way))
+            position = anchor - turn(axes, numbers(joint.anchor)) if any(joint.anchor) else anchor
             anchors[joint.dof] = anchor
-            motions.append(Spatial(cross(anchor, axis), axis))
+            motions.append(joined(cross(anchor, axis), axis))
         poses.append(Pose(position, axes))
     return Kinematics(origin, tuple(poses), anchors, tuple(motions))
 
 
-def motions_of(tree: Tree, kinematics: Kinematics, speeds: Sequence[Scalar]) -> list[Spatial]:
+def motions_of(tree: Tree, kinematics: Kinematics, speeds: Sequence[Any]) -> list[Any]:
     """The motion of each body where the degrees of freedom move at `speeds`, the free body's in the world's axes."""
-    base = Spatial(Vector(*speeds[:3]), Vector(*speeds[3:6])) if tree.free is not None else None
-    found = [Spatial(NULL, NULL)]
+    found = [np.zeros((6, 1, 1))]
     for index, body in enumerate(tree.bodies[1:], 1):
-        if index == tree.free and base is not None:
-            found.append(base)
+        if index == tree.free:
+            found.append(column(speeds[:6]))
             continue
-        turning = [times(speeds[joint.dof], kinematics.motions[joint.dof]) for joint in body.joints]
-        found.append(total([found[body.parent], *turning]))
+        found.append(sum((speeds[j.dof] * kinematics.motions[j.dof] for j in body.joints), found[body.parent]))
     return found
 
 
-def to_world(tree: Tree, kinematics: Kinematics, rates: Sequence[Scalar]) -> list[Scalar]:
+def to_world(tree: Tree, kinematics: Kinematics, rates: Sequence[Any]) -> list[Any]:
     """Velocities or accelerations with the free body's angular part in the world's axes, from those of `qvel`."""
     if tree.free is None:
         return list(rates)
-    turned = combine(kinematics.poses[tree.free].axes, Vector(*rates[3:6]))
-    return [*rates[:3], *turned, *rates[6:]]
+    return [*rates[:3], *jnp.unstack(turn(kinematics.poses[tree.free].axes, column(rates[3:6]))), *rates[6:]]
 
 
-def to_local(tree: Tree, kinematics: Kinematics, rates: Sequence[Scalar]) -> list[Scalar]:
+def to_local(tree: Tree, kinematics: Kinematics, rates: Sequence[Any]) -> list[Any]:
     """The inverse of `to_world`; forces turn alike."""
     if tree.free is None:
         return list(rates)
-    x, y, z = kinematics.poses[tree.free].axes
-    turned = [a.x * rates[3] + a.y * rates[4] + a.z * rates[5] for a in (x, y, z)]
-    return [*rates[:3], *turned, *rates[6:]]
+    turned = turn(transposed(kinematics.poses[tree.free].axes), column(rates[3:6]))
+    return [*rates[:3], *jnp.unstack(turned), *rates[6:]]
 
 
-def unit(quaternion: Sequence[Scalar]) -> list[Scalar]:
+def unit(quaternion: Any) -> Any:
     """The quaternion at length 1."""
-    w, x, y, z = quaternion
-    factor = root_over(w * w + x * x + y * y + z * z)
-    return [factor * part for part in quaternion]
+    return quaternion * lax.rsqrt(dot(quaternion, quaternion))
 
 
-def rotation(quaternion: Sequence[Scalar]) -> Rotation:
-    """The axes of a frame from its unit quaternion, w x y z."""
-    w, x, y, z = quaternion
-    wx, wy, wz = (TWO * w * part for part in (x, y, z))
-    xx, yy, zz = (TWO * part * part for part in (x, y, z))
-    xy, xz, yz = TWO * x * y, TWO * x * z, TWO * y * z
-    return (
-        Vector(ONE - (yy + zz), xy + wz, xz - wy),
-        Vector(xy - wz, ONE - (xx + zz), yz + wx),
-        Vector(xz + wy, yz - wx, ONE - (xx + yy)),
-    )
+def known_axes(axes: Axes) -> Any:
+    """Axes of numbers that are known while tracing."""
+    return transposed(numbers(axes))
 
 
-def _turned(joint: Joint, angle: Scalar) -> Rotation:
+def _moved(position: Any, axes: Any, point: Triple) -> Any:
+    """The place of a point of a frame; that of its origin is the frame's own, so that `drifts_of` knows it."""
+    return position + turn(axes, numbers(point)) if any(point) else position
+
+
+def _turned(joint: Joint, angle: Any) -> Any:
     """Rodrigues' formula about an axis of fixed components: an axis of the frame gives a rotation of two."""
-    turn = angle - number(joint.reference)
-    cosine, sine = Scalar(jnp.cos(turn.value)), Scalar(jnp.sin(turn.value))
-    axis = np.stack(
-        np.broadcast_arrays(*(np.asarray(part.values if isinstance(part, Table) else part) for part in joint.axis))
-    )
-    columns = []
-    for unmoved in np.eye(3).reshape(3, 3, *[1] * (axis.ndim - 1)):
-        along = axis * (axis * unmoved).sum(axis=0)
-        across = np.cross(axis, unmoved, axis=0)
-        parts = zip(along, np.broadcast_to(unmoved, axis.shape) - along, across, strict=True)
-        columns.append(Vector(*(known(a) + cosine * known(b) + sine * known(c) for a, b, c in parts)))
-    one, two, three = columns
-    return one, two, three
+    axis = numbers(joint.axis)
+    along, across = axis[:, None] * axis, transposed(cross(axis, EYE))
+    return along + jnp.cos(angle) * (EYE - along) + jnp.sin(angle) * across

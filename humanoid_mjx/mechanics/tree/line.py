@@ -7,8 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from humanoid_mjx.mechanics.scalars import Scalar
-from humanoid_mjx.mechanics.tree.algebra import WORLD
+from humanoid_mjx.mechanics.tree.contacts import Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import product
 from humanoid_mjx.mechanics.tree.pairs import Slots
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, ground_residuals
@@ -37,8 +36,8 @@ def lowest_share(
     problem: Problem,
     slots: Slots | None,
     active: Active,
-    before: Sequence[Scalar],
-    after: Sequence[Scalar],
+    before: Sequence[Any],
+    after: Sequence[Any],
     known: Any,
 ) -> Any:
     """The share of the way from `before` to `after` at which the problem is lowest, in this world.
@@ -76,72 +75,54 @@ def lowest_share(
         near = jnp.abs(new - share) <= NEAR * share
         return new, low, high, near | found | known, count + 1
 
-    start = jnp.ones(WORLD, curve.dtype)
-    carry = start, jnp.zeros_like(start), jnp.full_like(start, jnp.inf), jnp.zeros(WORLD, bool), jnp.int32(0)
+    start = jnp.ones((1,), curve.dtype)
+    carry = start, jnp.zeros_like(start), jnp.full_like(start, jnp.inf), jnp.zeros((1,), bool), jnp.int32(0)
     return jax.lax.while_loop(lambda carry: ~carry[3].all() & (carry[4] < MOST_ROUNDS), step, carry)[0]
 
 
-def _along(tree: Tree, way: Sequence[Scalar], force: Sequence[Scalar]) -> Any:
+def _along(tree: Tree, way: Sequence[Any], force: Sequence[Any]) -> Any:
     """The scalar product over the degrees of freedom of all lanes."""
     total: Any = 0.0
     lanes: Any = jnp.zeros((tree.lanes, 1))
-    for dof, both in enumerate(zip(way, force, strict=True)):
+    for dof, (one, two) in enumerate(zip(way, force, strict=True)):
         if tree.laned(dof):
-            lanes = lanes + (both[0] * both[1]).value
+            lanes = lanes + one * two
         else:
-            total = total + (both[0] * both[1]).value
+            total = total + (one * two)[0]
     return total + lanes.sum(axis=0)
 
 
 def _pushing(
-    tree: Tree,
-    problem: Problem,
-    slots: Slots | None,
-    active: Active,
-    before: Sequence[Scalar],
-    after: Sequence[Scalar],
+    tree: Tree, problem: Problem, slots: Slots | None, active: Active, before: Sequence[Any], after: Sequence[Any]
 ) -> tuple[Rows, Bool[Array, "rows lanes 1"]]:
     """One-sided constraints, facets of contacts and ends of ranges, and which of them `active` has."""
     found: list[tuple[Any, ...]] = []
     grounds = (ground_residuals(tree, problem.kinematics, problem.ground, x) for x in (before, after))
-    for points, touch, flags, one, two in zip(tree.ground, problem.ground, active.ground, *grounds, strict=True):
-        lanes = (tree.lanes,) * tree.bodies[points.body].laned
-        count = tree.points_each(points)
-        shape = (*(count,) * (count > 1), *lanes, *WORLD)
-        for flag, a, b in zip(flags, touch.facets(one), touch.facets(two), strict=True):
-            found.append(_row(touch.close, touch.weight, a, b, shape, flag))
+    for touch, flags, one, two in zip(problem.ground, active.ground, *grounds, strict=True):
+        found.append(_row(touch, touch.facets(one), touch.facets(two), flags))
     if slots:
-        touch, ends = slots.touch, (slots.facets(tree, x) for x in (before, after))
-        for flag, a, b in zip(active.pairs, *ends, strict=True):
-            found.append(_row(touch.close, touch.weight, a, b, touch.close.shape, flag))
+        found.append(_row(slots.touch, slots.facets(tree, before), slots.facets(tree, after), active.pairs))
     for dof, stop in problem.stops.items():
-        shape = (*(tree.lanes,) * tree.laned(dof), *WORLD)
-        ends = stop.residual(before[dof]), stop.residual(after[dof])
-        found.append(_row(stop.close, stop.weight, *ends, shape, active.stops[dof]))
+        found.append(_row(stop, stop.residual(before[dof]), stop.residual(after[dof]), active.stops[dof]))
     *rows, pushed = _together(found, (float, float, float, bool), tree)
     return Rows(*rows), pushed
 
 
 def _rubbing(
-    tree: Tree,
-    problem: Problem,
-    active: Active,
-    before: Sequence[Scalar],
-    after: Sequence[Scalar],
+    tree: Tree, problem: Problem, active: Active, before: Sequence[Any], after: Sequence[Any]
 ) -> tuple[Rows, tuple[Any, Any, Any]]:
     """Dry friction, its largest forces, and where `active` has these, against a positive and a negative residual."""
     found = []
     for dof, slip in problem.slips.items():
-        shape = (*(tree.lanes,) * tree.laned(dof), *WORLD)
-        ends = slip.residual(before[dof]), slip.residual(after[dof])
-        found.append(_row(True, slip.weight, *ends, shape, slip.most.value, *active.slips[dof]))
+        one, two = slip.residual(before[dof]), slip.residual(after[dof])
+        found.append((slip.weight, one, two - one, slip.most, *active.slips[dof]))
     *rows, most, up, down = _together(found, (float, float, float, float, bool, bool), tree)
     return Rows(*rows), (most, up, down)
 
 
-def _row(close: Any, weight: Scalar, one: Scalar, two: Scalar, shape: tuple[int, ...], *more: Any) -> tuple[Any, ...]:
-    parts = jnp.where(close, weight.value, 0.0), one.value, (two - one).value, *more
-    return tuple(jnp.broadcast_to(jnp.asarray(part), shape) for part in parts)
+def _row(one_sided: Touch | Stop, one: Any, two: Any, flag: Any) -> tuple[Any, ...]:
+    weight = jnp.where(one_sided.close, one_sided.weight, 0.0)
+    return weight if weight.ndim == one.ndim else weight[..., None, :, :], one, two - one, flag
 
 
 def _together(found: Sequence[tuple[Any, ...]], types: Sequence[type], tree: Tree) -> list[Any]:
@@ -150,15 +131,16 @@ def _together(found: Sequence[tuple[Any, ...]], types: Sequence[type], tree: Tre
     Constraints of which each lane has its own keep the axis, and the others are spread over the lanes.
     """
     lanes = tree.lanes
+    whole = [jnp.broadcast_arrays(*row) for row in found]
 
     def rows(parts: Sequence[Any], kind: type) -> Any:
-        own = [part.reshape(-1, lanes, *WORLD) for part in parts if part.shape[-2:-1] == (lanes,)]
-        others = [part.reshape(-1, *WORLD) for part in parts if part.shape[-2:-1] != (lanes,)]
+        own = [part.reshape(-1, lanes, 1) for part in parts if part.shape[-2] == lanes]
+        others = [part.reshape(-1, 1) for part in parts if part.shape[-2] != lanes]
         lack = -sum(len(part) for part in others) % lanes
-        others = jnp.concatenate([*others, jnp.zeros((lack, *WORLD), kind)])
-        return jnp.concatenate([*own, others.reshape(-1, lanes, *WORLD)])
+        others = jnp.concatenate([*others, jnp.zeros((lack, 1), kind)])
+        return jnp.concatenate([*own, others.reshape(-1, lanes, 1)])
 
-    parts = zip(*found, strict=True) if found else [()] * len(types)
+    parts = zip(*whole, strict=True) if whole else [()] * len(types)
     return [rows(part, kind) for part, kind in zip(parts, types, strict=True)]
 
 

@@ -3,26 +3,24 @@
 Few bodies touch at a time: contacts that are close are gathered, and loops over these are short.
 """
 
-import functools
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
-from humanoid_mjx.mechanics.scalars import NULL, ZERO, Scalar, Vector, add, scale
 from humanoid_mjx.mechanics.tree.algebra import (
     FEW_PAIRS,
-    WORLD,
-    Spatial,
     entry_at,
     filled,
     in_lane,
     in_turn,
-    number,
-    resolve,
+    numbers,
+    stacked,
+    turn,
     unfolded,
     velocity_at,
     with_entry,
@@ -36,56 +34,55 @@ SLOTS = 8
 """Contacts between bodies that a world may have at a time, those of two boxes corner by corner. With room for 16,
 humanoids that are thrown about are 13 to 15 % slower on a GPU, and no fewer of them are lost."""
 
-Flags = list[Bool[Array, "slots 1"]]
+Flags = Bool[Array, "slots facets 1 1"]
 """Masks of the facets that push."""
 
-Bodies = tuple[Scalar, Scalar]
-"""Numbers of two bodies: see `_numbers`."""
 
+class Ways(NamedTuple):
+    """Motions of bodies with degrees of freedom at unit speed, of all that part the bodies of some pair."""
 
-class Way(NamedTuple):
-    """Motion of bodies with a degree of freedom at unit speed."""
+    dofs: list[int]
+    """Those of all lanes one by one."""
+    first: Any
+    last: Any
+    """The first and the last number of the bodies that move, see `_numbers`."""
+    motions: Any
 
-    first: int
-    last: int
-    """The first and the last number of the bodies that move."""
-    motion: Spatial
-
-    def between(self, bodies: Bodies) -> Scalar:
+    def between(self, one: Any, two: Any) -> Any:
         """1 where the second body moves against the first, -1 where the first does, 0 where both move, or none."""
-        one, two = ((self.first <= body.value) & (body.value <= self.last) for body in bodies)
-        return Scalar(two.astype(float) - one.astype(float))
+        moved = ((self.first <= body) & (body <= self.last) for body in (two, one))
+        two, one = (flag.astype(float) for flag in moved)
+        return two - one
 
 
 class Slots(NamedTuple):
     """Contacts that each world may have; arrays lead with an axis of these."""
 
     touch: Touch
-    rows: dict[int, Vector]
-    """The rows of G: by degree of freedom, those of all lanes one by one, but for those that part the bodies of no
-    pair."""
+    rows: Any
+    """The rows of G, by contact and by degree of freedom of `dofs`: (slots, dofs, 3, 1, 1)."""
+    dofs: list[int]
     count: Any
     """How many there are."""
 
-    def facets(self, tree: Tree, x: Sequence[Scalar]) -> list[Scalar]:
+    def facets(self, tree: Tree, x: Sequence[Any]) -> Any:
         """By how much the bodies part faster than they should, along each facet."""
         rates = unfolded(x, tree.dofs)
+        rates = stacked([rates[dof] for dof in self.dofs])[:, None]
 
-        def facets(touch: Touch, rows: dict[int, Vector]) -> list[Scalar]:
-            residual = touch.offset
-            for dof, row in rows.items():
-                residual = add(residual, scale(rates[dof], row))
-            return touch.facets(residual)
+        def facets(touch: Touch, rows: Any) -> Any:
+            return touch.facets(touch.offset + (rates * rows).sum(axis=0))
 
         return in_turn(facets, self.touch, self.rows, count=self.count)
 
-    def active(self, tree: Tree, x: Sequence[Scalar]) -> Flags:
+    def active(self, tree: Tree, x: Sequence[Any]) -> Flags:
         """Masks of the facets that push."""
         return self.touch.active(self.facets(tree, x))
 
     def all_close(self) -> Flags:
         """All facets of all contacts."""
-        return [self.touch.close] * len(self.touch.facets(NULL))
+        size = 1 if self.touch.friction is None else 4
+        return jnp.broadcast_to(self.touch.close[:, None], (len(self.rows), size, 1, 1))
 
 
 def close_pairs(
@@ -95,22 +92,21 @@ def close_pairs(
 
     `gaps`: those of all pairs, group by group, and their coefficients of friction.
     """
-    contact, facts = _contacts(tree, problem, [friction for _, friction in gaps])
+    contact, dofs, facts = _contacts(tree, problem, [friction for _, friction in gaps])
     numbers, close = _close_numbers(tree, problem, [at for at, _ in gaps])
     slots = min(SLOTS, sum(len(pairs.ones) for pairs in tree.pairs))
 
-    def one(index: Any) -> tuple[Touch, dict[int, Vector]]:
+    def one(index: Any) -> tuple[Touch, Any]:
         pair, gap, first = entry_at(numbers, index)[0], None, 0
         for pairs, (at, _) in zip(tree.pairs, gaps, strict=True):
             found = at(pair - first)
             gap = found if gap is None else jax.tree.map(partial(jnp.where, pair < first), gap, found)
             first += len(pairs.ones)
-        own = jax.tree.map(lambda v: v if jnp.ndim(v) < 2 else entry_at(v, pair), facts)
-        return contact(pair, index < close, gap, *own)
+        return contact(pair, (index < close)[None], gap, *jax.tree.map(lambda v: entry_at(v, pair), facts))
 
     # A counter that all worlds share ends the loop: with each world's own number the lower body was a tenth slower.
     count, (touch, rows) = filled(one, slots, jnp.minimum(close, slots)[0])
-    return Slots(touch, rows, count), close > slots
+    return Slots(touch, rows, dofs, count), close > slots
 
 
 ABREAST = 4
@@ -135,7 +131,7 @@ def _noted(pairs: Pairs, problem: Problem, at: GapAt, first: int, found: tuple[A
         for one, gap in zip(each, map(at, each), strict=True):
             numbers, close = found
             numbers = with_entry(numbers, jnp.minimum(close, SLOTS)[0], (first + one)[None])
-            counts = (gap.distance.value < pairs.surface.margin) & (one < size) & ~jnp.asarray(problem.ended)
+            counts = (gap.distance[0] < pairs.surface.margin) & (one < size) & ~jnp.asarray(problem.ended)
             found = numbers, close + counts
         return found
 
@@ -150,48 +146,53 @@ def _noted(pairs: Pairs, problem: Problem, at: GapAt, first: int, found: tuple[A
 
 def _contacts(
     tree: Tree, problem: Problem, frictions: Sequence[Friction]
-) -> tuple[Callable[..., tuple[Touch, dict[int, Vector]]], tuple[Any, ...]]:
-    """What makes a contact of a pair's number, a flag where it counts, a gap, and what follows: facts of the pair, of
-    which arrays lead with an axis of all pairs."""
-    numbers, some = _numbers(tree), None
-    pairs = [[numbers[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in two] for two in _each(tree)]
-    bodies = tuple(Scalar(jnp.array(column, float)[:, None]) for column in zip(*pairs, strict=True))
-    ways, rates = _ways(tree, problem.kinematics, numbers, pairs), unfolded(problem.velocity, tree.dofs)
-    if any(frictions):
-        some = _joined(tree, [friction or (ZERO, ZERO) for friction in frictions])
-    inverse = _joined(tree, [number(group.surface.inverse_weight) for group in tree.pairs])
+) -> tuple[Callable[..., tuple[Touch, Any]], list[int], tuple[Any, ...]]:
+    """Return a function that builds one contact, the degrees of freedom of its rows, and facts of all pairs.
+
+    `contact(pair, there, gap, *facts)` returns the `Touch` and the rows of the contact Jacobian; `facts`: those of the
+    pair, of which arrays lead with an axis of all pairs.
+    """
+    numbered = _numbers(tree)
+    pairs = [[numbered[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in two] for two in _each(tree)]
+    bodies = tuple(jnp.array(bodies, float)[:, None, None] for bodies in zip(*pairs, strict=True))
+    ways = _ways(tree, problem.kinematics, numbered, pairs)
+    rates = unfolded(problem.velocity, tree.dofs)
+    rates = stacked([rates[dof] for dof in ways.dofs])[:, None]
+    zero = np.zeros((1, 1))
+    some = _joined(tree, [friction or (zero, zero) for friction in frictions]) if any(frictions) else None
+    inverse = _joined(tree, [numbers(group.surface.inverse_weight, (1, 1)) for group in tree.pairs])
 
     def contact(
-        pair: Any, there: Any, gap: Gap, bodies: Bodies, inverse: Scalar, friction: Friction
-    ) -> tuple[Touch, dict[int, Vector]]:
-        arms = {dof: scale(way.between(bodies), velocity_at(way.motion, gap.place)) for dof, way in ways.items()}
-        velocity = functools.reduce(add, [scale(rates[dof], arm) for dof, arm in arms.items()], NULL)
+        pair: Any, there: Any, gap: Gap, bodies: tuple[Any, Any], inverse: Any, friction: Friction
+    ) -> tuple[Touch, Any]:
+        arms = ways.between(*bodies)[..., None, :, :] * velocity_at(ways.motions, gap.place)
         found: Any = None
         end = 0
         for group, own in zip(tree.pairs, frictions, strict=True):
-            surface = group.surface._replace(inverse_weight=inverse.value)
-            touch = pair_touch(surface, gap, velocity, own and friction)
+            surface = group.surface._replace(inverse_weight=inverse)
+            touch = pair_touch(surface, gap, (rates * arms).sum(axis=0), own and friction)
             if friction and not own:  # four facets that are the same, each of a quarter of the weight
-                touch = touch._replace(weight=Scalar(0.25) * touch.weight, friction=friction)
+                touch = touch._replace(weight=0.25 * touch.weight, friction=friction)
             found = touch if found is None else jax.tree.map(partial(jnp.where, pair < end), found, touch)
             end += len(group.ones)
-        rows = {dof: resolve(found.frame, arm) for dof, arm in arms.items()}
-        return found._replace(place=NULL, frame=(NULL, NULL, NULL), distance=ZERO, close=there), rows
+        return found._replace(place=(), frame=(), distance=(), close=there), turn(found.frame, arms)
 
-    return contact, (bodies, inverse, some)
+    return contact, ways.dofs, (bodies, inverse, some)
 
 
-def _ways(tree: Tree, kinematics: Kinematics, numbers: dict[tuple[int, int], int], pairs: Any) -> dict[int, Way]:
-    """By degree of freedom, but for those that move both bodies of each pair, or none."""
-    found: dict[int, Way] = {}
+def _ways(tree: Tree, kinematics: Kinematics, numbered: dict[tuple[int, int], int], pairs: Any) -> Ways:
+    """All but those that move both bodies of each pair, or none."""
+    found = []
     for dof, lanes in enumerate(tree.dofs):
         for index, own in enumerate(lanes):
-            places = (place for place in numbers if dof in tree.moving(place[0]))
-            moved = [numbers[place] for place in places if place[1] == index or not tree.laned(dof)]
-            way = Way(min(moved), max(moved), in_lane(kinematics.motions[dof], index))
-            if any((way.first <= one <= way.last) != (way.first <= two <= way.last) for one, two in pairs):
-                found[own] = way
-    return found
+            places = (place for place in numbered if dof in tree.moving(place[0]))
+            moved = [numbered[place] for place in places if place[1] == index or not tree.laned(dof)]
+            first, last = min(moved), max(moved)
+            if any((first <= one <= last) != (first <= two <= last) for one, two in pairs):
+                found.append((own, first, last, in_lane(kinematics.motions[dof], index)))
+    dofs, first, last, motions = zip(*found, strict=True)
+    first, last = (np.array(end, float)[:, None, None] for end in (first, last))
+    return Ways(list(dofs), first, last, stacked(motions))
 
 
 def _numbers(tree: Tree) -> dict[tuple[int, int], int]:
@@ -211,16 +212,13 @@ def _numbers(tree: Tree) -> dict[tuple[int, int], int]:
 
 
 def _joined(tree: Tree, groups: Sequence[Any]) -> Any:
-    """Pytrees of scalars, one of each group of pairs, as one."""
+    """Pytrees of numbers, one of each group of pairs, with a first axis of all pairs."""
     sizes = [len(pairs.ones) for pairs in tree.pairs]
 
-    def join(*parts: Scalar) -> Scalar:
-        if len(parts) == 1 or all(part.is_known(parts[0].value) for part in parts):
-            return parts[0]
-        values = [jnp.asarray(part.value, float) for part in parts]
-        return Scalar(jnp.concatenate([jnp.broadcast_to(v, (n, *WORLD)) for v, n in zip(values, sizes, strict=True)]))
+    def join(*parts: Any) -> Any:
+        return jnp.concatenate([jnp.broadcast_to(part, (size, 1, 1)) for part, size in zip(parts, sizes, strict=True)])
 
-    return jax.tree.map(join, *groups, is_leaf=lambda part: isinstance(part, Scalar))
+    return jax.tree.map(join, *groups)
 
 
 def _each(tree: Tree) -> list[tuple[Capsule | Box, Capsule | Box]]:

@@ -4,22 +4,18 @@ The problem is quadratic as long as the same facets push. So a Newton step to th
 exact once they stay the same, and the search stops there: that minimum is the solution.
 """
 
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from humanoid_mjx.mechanics.scalars import Scalar
-from humanoid_mjx.mechanics.tree.algebra import WORLD
-from humanoid_mjx.mechanics.tree.bits import Bits
-from humanoid_mjx.mechanics.tree.contacts import Touch
+from humanoid_mjx.mechanics.tree.bits import pack, unpack
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
 from humanoid_mjx.mechanics.tree.pair_equations import with_pairs
 from humanoid_mjx.mechanics.tree.pairs import Slots, close_pairs
-from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations, one_by_one
+from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 SAME = 200.0
@@ -60,37 +56,35 @@ def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any])
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         before, flags, settled, count = carry
         active = unpacked(flags)
-        x, pairs = _minimum(tree, problem, points, slots, active)
+        x, pairs = _minimum(tree, problem, slots, active)
         now = packed(active_at(tree, problem, x)._replace(pairs=pairs))
-        values = [jnp.where(settled, old, v.value) for old, v in zip(before, x, strict=True)]
+        x = [jnp.where(settled, old, new) for old, new in zip(before, x, strict=True)]
         errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE)
-        settled = settled | ~_differ(flags, now) | _same(before, values, errors)
+        settled = settled | ~_differ(flags, now) | _same(before, x, errors)
         often = (count % 2 == 0) | (count >= PATIENCE)
         shorter = count >= WHOLE_DRY if problem.slips else (count >= WHOLE) & often
 
         def shorten() -> tuple[list[Any], Any]:
-            found, there = _shortened(tree, problem, slots, before, values, active, settled)
+            found, there = _shortened(tree, problem, slots, before, x, active, settled)
             return found, packed(there)
 
-        values, now = jax.lax.cond(shorter & ~settled.all(), shorten, lambda: (values, now))
-        return values, now, settled, count + 1
+        x, now = jax.lax.cond(shorter & ~settled.all(), shorten, lambda: (x, now))
+        return x, now, settled, count + 1
 
-    def packed(active: Active) -> tuple[list[Any], list[Any]]:
+    def packed(active: Active) -> tuple[list[Any], Any]:
         # Flags of pairs are looked up one by one, so they stay as they are.
-        return bits.pack(active._replace(pairs=[])), active.pairs
+        return pack(active._replace(pairs=None)), active.pairs
 
-    def unpacked(flags: tuple[list[Any], list[Any]]) -> Active:
-        return bits.unpack(flags[0])._replace(pairs=flags[1])
+    def unpacked(flags: tuple[list[Any], Any]) -> Active:
+        return unpack(flags[0], like)._replace(pairs=flags[1])
 
     def going(carry: tuple[Any, ...]) -> Any:
         return ~carry[2].all() & (carry[3] < MOST_STEPS)
 
-    points = one_by_one(tree, problem.ground)
-    start = [jnp.broadcast_to(value, (*jnp.shape(value)[:-1], *WORLD)) for value in start]
-    active = active_at(tree, problem, [Scalar(value) for value in start])
-    bits = Bits.of(active)
-    active = active._replace(pairs=slots.all_close() if slots else [])  # a guess
-    ended = jnp.broadcast_to(jnp.asarray(problem.ended), WORLD)
+    start = [jnp.broadcast_to(x, (tree.lanes if tree.laned(dof) else 1, 1)) for dof, x in enumerate(start)]
+    like = active_at(tree, problem, start)
+    active = like._replace(pairs=slots.all_close() if slots else None)  # a guess
+    ended = jnp.broadcast_to(jnp.asarray(problem.ended), (1,))
     x, _, settled, _ = jax.lax.while_loop(going, step, (start, packed(active), ended, jnp.int32(0)))
     return x, settled
 
@@ -100,58 +94,43 @@ def _shortened(
 ) -> Any:
     """The accelerations after a part of the way from `before` to `values`, where the facets that push in `active` lead,
     and which facets push there; a settled world stays."""
-    one, two = ([Scalar(value) for value in x] for x in (before, values))
-    share = lowest_share(tree, problem, slots, active, one, two, settled) if problem.slips else SHARE
-    values = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, values, strict=True)]
-    found = [Scalar(value) for value in values]
-    return values, active_at(tree, problem, found)._replace(pairs=slots.active(tree, found) if slots else [])
+    share = lowest_share(tree, problem, slots, active, before, values, settled) if problem.slips else SHARE
+    x = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, values, strict=True)]
+    return x, active_at(tree, problem, x)._replace(pairs=slots.active(tree, x) if slots else None)
 
 
 def _differ(one: Any, two: Any) -> Any:
     """Whether flags, or words of flags, differ."""
-    return _in_any_lane(jnp.logical_or, [a != b for a, b in zip(*map(jax.tree.leaves, (one, two)), strict=True)])
+    return _in_any_lane(jnp.any, [a != b for a, b in zip(*map(jax.tree.leaves, (one, two)), strict=True)])
 
 
 def _same(one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:
     """Whether two accelerations are the same but for so many rounding errors."""
-    change = _in_any_lane(jnp.maximum, [jnp.abs(a - b) for a, b in zip(one, two, strict=True)])
-    size = _in_any_lane(jnp.maximum, [jnp.abs(b) for b in two])
+    change = _in_any_lane(jnp.max, [jnp.abs(a - b) for a, b in zip(one, two, strict=True)])
+    size = _in_any_lane(jnp.max, [jnp.abs(b) for b in two])
     return change <= errors * jnp.finfo(change.dtype).eps * size
 
 
-def _in_any_lane(combine: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:
+def _in_any_lane(combined: Callable[..., Any], values: Sequence[Any]) -> Any:
     """A value of the world from those that may have axes of contacts and of lanes, which are combined last."""
-    found = dict[tuple[int, ...], Any]()
-    for value in values:
-        while value.ndim > 2:
-            value = functools.reduce(combine, value)
-        found[value.shape] = combine(found[value.shape], value) if value.shape in found else value
-    each = [part for value in found.values() for part in (value if value.ndim > 1 else [value])]
-    return functools.reduce(combine, each)
+    each = [value.reshape(-1, *value.shape[-2:]) for value in values]
+    own = {lanes: jnp.concatenate([x for x in each if x.shape[1] == lanes]) for lanes in {x.shape[1] for x in each}}
+    return combined(jnp.concatenate([combined(x, axis=0) for x in own.values()]), axis=0)
 
 
-def _minimum(
-    tree: Tree, problem: Problem, points: list[list[Touch]], slots: Slots | None, active: Active
-) -> tuple[list[Scalar], list[Any]]:
+def _minimum(tree: Tree, problem: Problem, slots: Slots | None, active: Active) -> tuple[list[Any], Any]:
     """If these facets and stops push and no others, and which facets of pairs push there."""
-    matrix, right = normal_equations(tree, problem, points, active)
+    matrix, right = normal_equations(tree, problem, active)
     factors = factor(tree, matrix)
     x = factors.solve(right)
     if slots is None:
-        return x, active.pairs
+        return x, None
 
-    def whole(found: Sequence[Scalar]) -> list[Any]:
-        return [jnp.broadcast_to(v.value, jnp.broadcast_shapes(jnp.shape(v.value), WORLD)) for v in found]
-
-    def together() -> tuple[list[Any], list[Any]]:
+    def together() -> tuple[list[Any], Any]:
         found = with_pairs(tree, slots, active.pairs, factors, x)
-        return whole(found), slots.active(tree, found)
+        return found, slots.active(tree, found)
 
-    def alone() -> tuple[list[Any], list[Any]]:
-        return whole(x), jax.tree.map(jnp.zeros_like, active.pairs)
-
-    values, pairs = jax.lax.cond(slots.count > 0, together, alone)
-    return [Scalar(value) for value in values], pairs
+    return jax.lax.cond(slots.count > 0, together, lambda: (x, jnp.zeros_like(active.pairs)))
 
 
 MOST_STEPS = 24

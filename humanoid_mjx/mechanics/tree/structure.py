@@ -1,6 +1,6 @@
 """Structure of a tree of rigid bodies, fixed while its motion is compiled: topology, geometry, masses, contacts.
 
-All of it is plain numbers in tuples, so that a `Tree` is hashable and zeros and ones fold away in `mechanics.scalars`.
+All of it is plain numbers in tuples, so that a `Tree` is hashable and zeros and ones fold away in kernels.
 Lengths in m, masses in kg, angles in rad. `reading.read_tree` makes it from a compiled MuJoCo model.
 
 Limbs of one build, as the legs of a body, are *lanes*: `folding.fold` makes them one branch, whose numbers are a table
@@ -258,6 +258,11 @@ class Tree(NamedTuple):
         while body:
             found, body = self.own(body) + found, self.bodies[body].parent
         return found
+
+    def above(self, dof: int) -> tuple[int, ...]:
+        """The degrees of freedom that move all that this one moves, itself the last."""
+        moving = next(self.moving(body) for body in range(len(self.bodies)) if dof in self.own(body))
+        return moving[: moving.index(dof) + 1]
 
     def points_each(self, points: GroundPoints) -> int:
         """How many points a body has, or that of each lane."""
