@@ -2,18 +2,21 @@
 
 import numpy as np
 import pytest
-from chapter_8_verdicts import above, holm, improvement
 from scipy import stats
 
 from humanoid_mjx.runs.ranking import best_table, compared, find_levels, in_words, ranked
 from humanoid_mjx.runs.statistics import (
+    above,
     difference,
     estimate,
+    holm,
     importance,
     importance_of_drawn,
+    improvement,
     interval,
     not_worse,
     of_levels,
+    profile,
 )
 
 TRIALS = 20_000
@@ -107,6 +110,7 @@ def test_comparisons_of_independent_runs_are_those_of_scipy():
     assert improvement(one, other) == pytest.approx(stats.mannwhitneyu(one, other).statistic / 42)
     assert improvement(np.ones(3), np.ones(4)) == 0.5
     np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03])), [0.03, 0.06, 0.06])
+    np.testing.assert_allclose(profile(np.array([1.0, 2.0, 3.0]), np.array([0.0, 2.0, 3.0])), [1.0, 1 / 3, 0.0])
 
 
 def grid(effect):
