@@ -113,6 +113,8 @@ class Reader:
     def play(self, policy, set_, physics, **options):
         from humanoid_mjx.evaluation.policy import find_policy, in_changed_world
 
+        if policy in names("robots", ".yaml") or (policy.endswith(".yaml") and Path(policy).is_file()):
+            return
         self.has(policy)
         if policy in names("policies", ".npz"):
             in_changed_world(find_policy(policy), [*(set_ or []), *([f"task.physics={physics}"] if physics else [])])

@@ -101,7 +101,7 @@ TYPED = {
     "sweep stand_cpu --set episodes=1000": "episodes: deep_q counts control steps of all environments; write "
     "total_steps in its place (in commands --set episodes=null --set total_steps=N)",
     "sweep joint1 --set learner.name=deep_q": "write total_steps in its place",
-    "sweep stand --set learner.epsilom=1": "and 15 more: humanoid-mjx info deep_q --keys shows them",
+    "sweep stand --set learner.epsilom=1": "and 18 more: humanoid-mjx info deep_q --keys shows them",
     "sweep joint1 --set sweep.axes.learner.discount={linspace:[0,0.9,1000]}": "300,000 points are more than "
     "100,000; draw some of them: mode: random with points: 200",
     # words that typer does not take

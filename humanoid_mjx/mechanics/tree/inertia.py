@@ -52,12 +52,12 @@ def masses_of(tree: Tree, kinematics: Kinematics, factors: Sequence[Any]) -> lis
     """The bodies' masses in one posture, their models' times `factors`, but for the world's."""
     found = []
     for index, (body, factor) in enumerate(zip(tree.bodies[1:], factors[1:], strict=True), 1):
-        arm, inertia = kinematics.direction(index, body.center), numbers(body.moment) * EYE
+        arm, inertia = kinematics.direction(index, body.center), factor * numbers(body.moment) * EYE
         for more, axis in body.extra:
             axis = kinematics.direction(index, axis)
-            inertia = inertia + numbers(more) * axis[:, None] * axis
+            inertia = inertia + (factor * numbers(more) * axis)[:, None] * axis
         position, mass = kinematics.poses[index].position, factor * numbers(body.mass)
-        found.append(Mass(mass, position + arm, arm, symmetric(factor * inertia)))
+        found.append(Mass(mass, position + arm, arm, symmetric(inertia)))
     return found
 
 
@@ -114,7 +114,7 @@ class Factors(NamedTuple):
 
     def solve(self, right: Sequence[Any]) -> list[Any]:
         """x of `A x = right`."""
-        x, lanes = list(right), _Lanes(self.tree, {})
+        x, lanes = list(right), _Lanes(self.tree, {}, {})
         for last in reversed(range(len(x))):
             x[last] = x[last] - lanes.sum_for(last)
             *above, _ = self.tree.above(last)
@@ -129,7 +129,7 @@ class Factors(NamedTuple):
 
 def factor(tree: Tree, matrix: Matrix) -> Factors:
     """The factors of a symmetric, positive definite matrix, from the leaves of the tree to its root."""
-    rows, lower, inverse, lanes = list(matrix), list(matrix), [None] * tree.nv, _Lanes(tree, {})
+    rows, lower, inverse, lanes = list(matrix), list(matrix), [None] * tree.nv, _Lanes(tree, {}, {})
     for last in reversed(range(tree.nv)):
         row = rows[last] - lanes.sum_for(last)
         inverse[last], below = 1.0 / row[-1], row[:-1]
@@ -145,6 +145,7 @@ class _Lanes(NamedTuple):
 
     tree: Tree
     changes: dict[int, Any]
+    sums: dict[int, Any]
 
     def less(self, last: int, row: int, value: Any, change: Any) -> Any:
         """A row's value less the change by a row beyond it; that of a lane is kept for later."""
@@ -154,8 +155,13 @@ class _Lanes(NamedTuple):
         return value
 
     def sum_for(self, row: int) -> Any:
-        """The sum of the changes of all lanes."""
-        return over_lanes(self.tree, self.changes[row]) if row in self.changes else 0.0
+        """The sum of the changes of all lanes. With the first, where no lane is left, come those of all rows: the
+        threads of a GPU wait once for what they pass on."""
+        if row in self.changes:
+            some_left = any(map(self.tree.laned, range(row)))
+            for other in [row] if some_left else list(self.changes):
+                self.sums[other] = over_lanes(self.tree, self.changes.pop(other))
+        return self.sums.get(row, 0.0)
 
 
 def product(tree: Tree, matrix: Matrix, x: Sequence[Any]) -> list[Any]:
