@@ -13,9 +13,10 @@ from typing import Any
 
 import jax
 
-SLOWER = {"cpu": "about 30 times", "gpu": "about 6 times"}
-"""Time that XLA takes in units of a kernel's, by backend: of 40 time steps of 2,048 lower bodies that move, on two
-cores; of a training of `walk` on one H200 (`docs/bench/h200_one_kernel.json`)."""
+SLOWER = {"cpu": "about 100 times", "gpu": "about 6 times or more"}
+"""Time that XLA takes in units of a kernel's, by backend: 65 for lower bodies that stand, 120 that move, on two cores
+(`benchmarks/guard.py` with and without llvmlite); of a training of `walk` on one H200 by an earlier program of XLA
+(`docs/bench/h200_one_kernel.json`)."""
 
 WORDS = ("triton", "pallas", "ptx", "mosaic", "nvvm", "libnvjitlink", "humanoid_mjx_")
 """Words of errors, one of which names a kernel where XLA compiles the program around it."""
