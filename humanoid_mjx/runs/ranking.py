@@ -248,6 +248,7 @@ def best_table(
     headings = ["point", *axes, "greedy success", *greedy, f"{measure} over all of training (95\u00a0%)"]
     some_diverged, compares = bool(np.any(summary["diverged"])), found.complete > 1
     headings += ["diverged"] * some_diverged + ["as good"] * compares
+    measured = {each.measure: by_point(summary, each.measure) for each in found[:2] if each.measure}
     rows, wholes = [], summary.get(f"whole_{measure}", np.full(len(summary["point"]), np.nan))
     for point in points[:BEST_POINTS]:
         low, high = interval(wholes[summary["point"] == point.point])
@@ -255,16 +256,17 @@ def best_table(
         means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", whole]
         diverged = f"{int(np.sum(summary['diverged'][summary['point'] == point.point]))} of {seeds}"
         cells = [str(point.point), *map(short, point.values), f"{point.success:.1%}", *means]
-        equal = _as_good(point.point, points[0].point, summary, found)
+        equal = _as_good(point.point, points[0].point, measured, found)
         rows.append([*cells, *[diverged] * some_diverged, *[equal] * compares])
     return headings, rows
 
 
-def _as_good(point: int, best: int, summary: Mapping[str, np.ndarray], found: Compared) -> str:
-    """Whether a point is as good as the best; else the interval of its difference, seed by seed."""
+def _as_good(point: int, best: int, measured: Mapping[str, tuple[np.ndarray, np.ndarray]], found: Compared) -> str:
+    """Whether a point is as good as the best; else the interval of its difference, seed by seed. `measured`: both
+    measures of `found` as `by_point` has them."""
     for judged, words in ((found.policy, "no,"), (found.learning, "slower,")):
         if point not in judged.as_good and judged.measure:
-            numbers, values = by_point(summary, judged.measure)
+            numbers, values = measured[judged.measure]
             gap = difference(*(values[numbers == each][0] for each in (point, best)))
             return f"{words} {gap.low:+.3g} to {gap.high:+.3g}" if np.isfinite(gap.value) else ""
     return "yes"
