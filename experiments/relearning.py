@@ -10,7 +10,7 @@ policies with epsilon as at the start, from the earlier policies with epsilon as
 import argparse
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -48,14 +48,20 @@ CHANGES = {
 WAYS = ("known, epsilon again", "known, epsilon as decayed", "new start")
 
 
-def main() -> None:
-    """Measure, and write a record; or draw one."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def asked(words: str | None, draw: Callable[[Mapping[str, Any], Path], None]) -> Path | None:
+    """The record that the command line wants made; None if it wanted one drawn, which is done."""
+    parser = argparse.ArgumentParser(description=words, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, required=True, help="the record, which is made if there is no --out")
     parser.add_argument("--out", type=Path, help="draw the record instead")
     given = parser.parse_args()
     if given.out:
         draw(json.loads(given.json.read_text()), given.out)
+    return None if given.out else given.json
+
+
+def main() -> None:
+    """Measure, and write a record; or draw one."""
+    if not (file := asked(__doc__, draw)):
         return
     compute.start()
     record = compute.made_by() | {"seeds": SEEDS, "changes": {}}
@@ -63,7 +69,7 @@ def main() -> None:
         for name, maps in CHANGES.items():
             record["changes"][name] = measured(Path(folder) / name, *maps)
             print(name, verdict(record["changes"][name]), sep="\n", flush=True)
-    given.json.write_text(json.dumps(record) + "\n")
+    file.write_text(json.dumps(record) + "\n")
 
 
 def table(grid: tuple[str, ...], episodes: int) -> dict[str, Any]:

@@ -7,7 +7,6 @@ Five seeds learn `leg_reach`. Then its links become heavier, its joints get dry 
 The same seeds learn on from these policies, and anew.
 """
 
-import argparse
 import json
 import tempfile
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from relearning import asked
 
 import humanoid_mjx
 from humanoid_mjx import compute
@@ -138,19 +138,14 @@ def draw(record: Mapping[str, Any], path: Path) -> None:
 
 def main() -> None:
     """Measure, and write a record; or draw one."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, required=True, help="the record, which is made if there is no --out")
-    parser.add_argument("--out", type=Path, help="draw the record instead")
-    given = parser.parse_args()
-    if given.out:
-        draw(json.loads(given.json.read_text()), given.out)
+    if not (file := asked(__doc__, draw)):
         return
     compute.start()
     record = compute.made_by() | {"seeds": SEEDS, "learners": {}}
     with tempfile.TemporaryDirectory() as folder:
         for name in BEFORE:
             record["learners"][name] = measured(Path(folder) / name, name)
-            given.json.write_text(json.dumps(record) + "\n")
+            file.write_text(json.dumps(record) + "\n")
 
 
 if __name__ == "__main__":
