@@ -61,6 +61,11 @@ def _iota(params: dict[str, Any]) -> list[np.ndarray]:
     return [constant(np.broadcast_to(along, shape))]
 
 
+def _unstack(params: dict[str, Any], array: np.ndarray) -> list[np.ndarray]:
+    rows = np.moveaxis(array, params["axis"], 0)
+    return [rows[row, ...] for row in range(len(rows))]
+
+
 ARRANGEMENTS: dict[str, Callable[..., list[np.ndarray]]] = {
     "broadcast_in_dim": _broadcast_in_dim,
     "concatenate": lambda params, *arrays: [np.concatenate(arrays, axis=params["dimension"])],
@@ -72,6 +77,6 @@ ARRANGEMENTS: dict[str, Callable[..., list[np.ndarray]]] = {
     "squeeze": lambda params, array: [array.squeeze(tuple(params["dimensions"]))],
     "stack": lambda params, *arrays: [np.stack(arrays, axis=params["axis"])],
     "transpose": lambda params, array: [array.transpose(params["permutation"])],
-    "unstack": lambda params, array: list(np.moveaxis(array, params["axis"], 0)),
+    "unstack": _unstack,
 }
 """By primitive: from its parameters and arrays of elements to those that it gives."""

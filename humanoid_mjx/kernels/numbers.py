@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from humanoid_mjx.kernels import fallback
 from humanoid_mjx.kernels.arrangements import arranged
 from humanoid_mjx.kernels.threads import Threads
 
@@ -39,7 +40,11 @@ def scalarised(function: Function) -> Function:
 
         traced, shapes = jax.make_jaxpr(of_traced, return_shape=True)(*(leaves[place] for place in places))
         given = [arranged(jnp.unstack(leaves[place].reshape(-1)), leaves[place].shape) for place in places]
-        found = Threads(1, _own, _own, jnp.any, _no_memory, _no_memory).evaluate(traced, given)
+        try:
+            found = Threads(1, _own, _own, jnp.any, _no_memory, _no_memory).evaluate(traced, given)
+        except Exception as error:  # whatever it is, XLA does not need it
+            fallback.warn(error)
+            return function(*args)
         arrays = [jnp.stack([*map(jnp.asarray, np.asarray(array).flat)]).reshape(array.shape) for array in found]
         return jax.tree.unflatten(jax.tree.structure(shapes), arrays)
 

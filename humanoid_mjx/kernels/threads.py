@@ -487,7 +487,7 @@ class Threads:
 
     def _scan(self, eqn: Any, *args: np.ndarray) -> list[np.ndarray]:
         """Unrolled."""
-        body, first, kept = eqn.params["jaxpr"], eqn.params["num_consts"], eqn.params["num_carry"]
+        body, (first, kept) = eqn.params["jaxpr"], _fixed_and_carried(eqn)
         last = first + kept
         fixed, carry = args[:first], args[first:last]
         seen: list[list[np.ndarray]] = []
@@ -549,10 +549,24 @@ def _of_keys(eqn: Any) -> ClosedJaxpr:
     return jax.make_jaxpr(function)(key, *(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in others))
 
 
+def _fixed_and_carried(eqn: Any) -> tuple[int, int]:
+    """How many of a scan's first arguments are the same in each step, and how many that follow are carried.
+
+    The rest of arguments and results have one axis more than in a step. The parameters say it otherwise in each jax.
+    """
+    body = eqn.params["jaxpr"].jaxpr
+
+    def alike(whole: Sequence[Any], of_step: Sequence[Any]) -> int:
+        return sum(a.aval.shape == b.aval.shape for a, b in zip(whole, of_step, strict=True))
+
+    carried = alike(eqn.outvars, body.outvars)
+    return alike(eqn.invars, body.invars) - carried, carried
+
+
 def _looped(eqn: Any) -> ClosedJaxpr:
     """A loop of known length as a `while`."""
-    params, first = eqn.params, eqn.params["num_consts"]
-    if first + params["num_carry"] < len(eqn.invars) or params["num_carry"] < len(eqn.outvars):
+    params, (first, kept) = eqn.params, _fixed_and_carried(eqn)
+    if first + kept < len(eqn.invars) or kept < len(eqn.outvars):
         raise NotImplementedError("threads stack nothing along a loop that changes arrays in memory")
 
     step = jaxpr_as_fun(params["jaxpr"])

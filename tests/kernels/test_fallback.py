@@ -12,6 +12,7 @@ from humanoid_mjx import compute, sweep
 from humanoid_mjx.compute import kept
 from humanoid_mjx.compute.options import PASSES
 from humanoid_mjx.kernels import cpu_kernel, fallback, threads, worlds
+from humanoid_mjx.kernels.numbers import scalarised
 from humanoid_mjx.training.programs import programs
 
 X = np.linspace(-2.0, 2.0, 60, dtype=np.float32).reshape(20, 3)
@@ -95,6 +96,14 @@ def test_xla_computes_what_a_kernel_would(words, monkeypatch, caplog):
     assert PASSES not in compute.compiler_options("tree")  # with it XLA aborts
     (line,) = caplog.messages
     assert words in line and "XLA computes instead, which takes about" in line and "\n" not in line
+
+
+def test_single_numbers_that_cannot_be_are_arrays(monkeypatch, caplog):
+    unknown_operation(monkeypatch)
+    function = jax.jit(jax.vmap(scalarised(wave)))
+    np.testing.assert_allclose(function(X), jax.vmap(wave)(X), rtol=1e-6)
+    (line,) = caplog.messages
+    assert "threads do no" in line
 
 
 def test_a_command_goes_on(monkeypatch, said, caplog):

@@ -41,3 +41,21 @@ def test_known_elements_and_those_of_a_symmetric_matrix_cost_nothing():
     count(jax.make_jaxpr(scalarised(turned))(jnp.float32(0.0), jnp.zeros((3, 4))).jaxpr)
     assert names["dot_general"] == 0
     assert names["mul"] == 4 * 4 + 10 * 3  # two rows of the turn have two elements; 10 of 16 products differ
+
+
+def test_rows_and_scans_are_those_of_xla():
+    """jax 0.11 has an operation of its own for the elements of a vector, and names a scan's parts anew."""
+
+    def function(matrix, vector):
+        def step(carry, row):
+            a, b, c = row
+            return (carry[0] + a * b, carry[1] - c), a - carry[1]
+
+        first, *_, last = jnp.unstack(vector)
+        (total, rest), each = jax.lax.scan(step, (first * last, vector.sum()), matrix, reverse=True)
+        return total, rest, each
+
+    rng = np.random.default_rng(1)
+    args = np.float32(rng.normal(size=(10, 4, 3))), np.float32(rng.normal(size=(10, 5)))
+    expected, found = jax.vmap(function)(*args), jax.jit(jax.vmap(scalarised(function)))(*args)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-6), found, expected)
