@@ -1,8 +1,9 @@
 """Train the same sweeps on one and on several cards of this machine, and write the record.
 
-python experiments/scaling.py [--cards 1,2] [--only joint1,walk] [--small] [docs/bench/h100_scaling.json]
+python experiments/scaling.py [--cards 1,2] [--only joint1,walk] [--once] [--small] [docs/bench/h100_scaling.json]
 
-Each sweep is a whole command in a process of its own that sees so many cards: once with nothing compiled, once again.
+Each sweep is a whole command in a process of its own that sees so many cards: once with nothing compiled, and
+unless told `--once` again.
 The record has the rate of training, the seconds of the command, and whether tables of results are the same, byte by
 byte, as those of the first number of cards, and as those of the second time. A further sweep is killed on the largest
 number of cards and resumed on the smallest. Without a GPU devices of the CPU stand for cards. `--small` tries the
@@ -26,12 +27,12 @@ import jax
 from humanoid_mjx import compute
 
 SWEEPS = {
-    "joint1": ["seeds=3200"],  # 960,000 tables
-    "leg_reach": ["seeds=64"],
+    "joint1": ["seeds=800", "episodes=8_000"],  # 240,000 tables
+    "leg_reach": ["seeds=64", "total_steps=4_000_000"],
     "stand": ["seeds=8"],
-    "walk": ["seeds=40", "total_steps=20_000_000"],
+    "walk": ["seeds=40", "total_steps=10_000_000"],
     "walk_dog": ["seeds=10"],
-    "walk_humanoid": ["seeds=40", "total_steps=10_000_000"],
+    "walk_humanoid": ["seeds=40", "total_steps=4_000_000"],
 }
 """Sweeps with work for several cards, and what they change of their config."""
 
@@ -57,10 +58,10 @@ def digest(out: Path) -> str:
     return hashlib.sha256(b"".join((out / name).read_bytes() for name in TABLES)).hexdigest()
 
 
-def trained(config: str, settings: list[str], cards: int, place: Path) -> dict[str, Any]:
+def trained(config: str, settings: list[str], cards: int, place: Path, times: tuple[str, ...]) -> dict[str, Any]:
     """One row of the record: the same command twice, with an empty cache and with what the first left there."""
     row: dict[str, Any] = {"config": config, "set": settings, "cards": cards}
-    for which in ("first", "again"):
+    for which in times:
         out, began = place / f"{config}-{cards}-{which}", time.perf_counter()
         process = subprocess.run(
             command(config, settings, out),
@@ -73,19 +74,21 @@ def trained(config: str, settings: list[str], cards: int, place: Path) -> dict[s
         if process.returncode:
             return row | {"error": process.stderr.strip().splitlines()[-1:]}
         made = json.loads((out / "provenance.json").read_text())
-        rates = {name: made[name] for name in ("steps_per_s", "wall_s", "compile_s")}
+        rates = {name: made.get(name) for name in ("steps_per_s", "wall_s", "compile_s")}
         row[which] = rates | {"command_s": round(seconds, 1), "tables": digest(out)}
         print(config, cards, which, row[which], flush=True)
-    return row | {"same_bits_again": row["first"]["tables"] == row["again"]["tables"]}
+    return row | {"same_bits_again": row["first"]["tables"] == row["again"]["tables"] if len(times) > 1 else None}
 
 
 def resumed(config: str, settings: list[str], cards: tuple[int, int], after: float, place: Path) -> dict[str, Any]:
-    """Kill a sweep on the first number of cards and resume it on the second."""
+    """Kill a sweep on the first number of cards, when something is stored or after so long; resume on the second."""
     out = place / f"{config}-killed"
     words = command(config, settings, out)
     process = subprocess.Popen(words, env=environment(cards[0], place / f"cache-{cards[0]}"), stdout=subprocess.DEVNULL)
-    time.sleep(after)
-    ended = process.poll() is not None
+    began = time.perf_counter()
+    while process.poll() is None and time.perf_counter() - began < after and not list(out.glob("checkpoint/*")):
+        time.sleep(0.02)
+    ended, after = process.poll() is not None, time.perf_counter() - began
     process.send_signal(signal.SIGKILL)
     process.wait()
     env = environment(cards[1], place / f"cache-{cards[1]}")
@@ -99,22 +102,24 @@ def main() -> None:
     parser.add_argument("file", type=Path, nargs="?")
     parser.add_argument("--cards", default="1,2")
     parser.add_argument("--only")
+    parser.add_argument("--once", action="store_true")
     parser.add_argument("--small", action="store_true")
     given = parser.parse_args()
     cards, sweeps = [int(number) for number in given.cards.split(",")], SMALL if given.small else SWEEPS
     only = given.only.split(",") if given.only else list(sweeps)
+    times = ("first",) if given.once else ("first", "again")
     record = compute.made_by() | {"command": "python experiments/scaling.py", "cards": cards, "rows": [], "resumed": []}
     with tempfile.TemporaryDirectory() as folder:
         for config in only:
-            rows = [trained(config, sweeps[config], count, Path(folder)) for count in cards]
-            for row in rows:
-                same = [each for each in rows[:1] if "again" in each and "again" in row]
-                row["same_bits_as_first"] = [each["again"]["tables"] == row["again"]["tables"] for each in same] or None
+            rows = [trained(config, sweeps[config], count, Path(folder), times) for count in cards]
+            done, last = [row for row in rows if "error" not in row], times[-1]
+            for row in done:
+                row["same_bits_as_first"] = row[last]["tables"] == done[0][last]["tables"]
             record["rows"] += rows
-            if config in ("joint1", "leg_reach") and all("again" in row for row in (rows[0], rows[-1])):
-                after = 0.7 * rows[-1]["again"]["command_s"]
+            if config in ("joint1", "leg_reach") and len(done) == len(cards):
+                after = 0.7 * done[-1][last]["command_s"]
                 killed = resumed(config, sweeps[config], (cards[-1], cards[0]), after, Path(folder))
-                killed["same_bits"] = killed["tables"] == rows[0]["again"]["tables"]
+                killed["same_bits"] = killed["tables"] == done[0][last]["tables"]
                 record["resumed"].append(killed)
                 print(killed, flush=True)
             if given.file:

