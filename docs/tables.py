@@ -254,6 +254,38 @@ def unmodified() -> str:
     return table("policy | physics | upright to the end, % | return", rows)
 
 
+def public_robots() -> str:
+    """Return how public robots walk after a training on one H100."""
+    rows = []
+    for row in record("h100_public_robots")["rows"]:
+        name, gait, seeds = row["robot"], row["gait"], [each["greedy_success"] for each in row["seeds"]]
+        own = [rounded(100 * row["unmodified"][f"{name}{where}, greedy"][0], 0) for where in ("", ", unmodified")]
+        ahead = [each for words, each in gait.items() if words.startswith("forward ")][:-1]  # the last one is too fast
+        going = ", ".join(f"{rounded(each['moves'][0])} of {rounded(each['told'][0])}" for each in ahead)
+        turn = gait["turn +1.0"]["moves"][2]
+        worst = [rounded(100 * gait[words]["upright"][1], 0) for words in ("stand", "sudden turn")]
+        worst.insert(1, rounded(100 * min(each["upright"][1] for each in ahead), 0))
+        all_seeds = f"{rounded(100 * min(seeds), 0)} to {rounded(100 * max(seeds), 0)}"
+        cells = f"`{row['config']}`", rounded(row["command_s"], 0), all_seeds, going, rounded(turn), *worst, *own
+        rows.append((f"`{name}`", *cells))
+    falls = "worst seed upright, %: standing | ahead | sudden turns"
+    own = "best, `mujoco`, % | `unmodified`, %"
+    return table(f"robot | config | s | upright, five seeds, % | goes, m/s | turns, of 1 rad/s | {falls} | {own}", rows)
+
+
+def scaling() -> str:
+    """Return how fast sweeps train on several cards of one host, and how long the commands take."""
+    rows, found = [], record("h100_scaling")["rows"]
+    for row in found:
+        one = next(each["first"]["steps_per_s"] for each in found if each["config"] == row["config"])
+        made, words = row["first"], " ".join(f"--set {each}" for each in row["set"])
+        share = rounded(made["steps_per_s"] / one / row["cards"])
+        rows.append((f"`{row['config']} {words}`", str(row["cards"]), rounded(made["steps_per_s"]), share,
+                     rounded(made["command_s"], 0), "yes" if row["same_bits_as_first"] else "no"))  # fmt: skip
+    columns = "steps a second while training | share of as many times one card | command, s | same tables as on one"
+    return table(f"`sweep` | cards | {columns}", rows)
+
+
 def ranges() -> str:
     """Return what the body can do with each column of joint ranges."""
     names = (
@@ -527,6 +559,8 @@ TABLES = {
         other_robots,
         other_robots_taken,
         unmodified,
+        public_robots,
+        scaling,
         faster_than_mjx,
     )
 } | {

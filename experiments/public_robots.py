@@ -80,10 +80,32 @@ def judged(row: dict[str, Any], place: Path) -> dict[str, Any]:
     for name, options in JUDGES.items():
         file = place / f"{robot}-{name}.json"
         _, failed = spoken(["evaluate", str(out), *options, "--json", str(file)], 0)
-        row[name] = (
-            failed or json.loads(file.read_text(encoding="utf-8"))["results" if name == "gait" else "evaluations"]
-        )
+        row[name] = failed or KEPT[name](json.loads(file.read_text(encoding="utf-8")))
     return row
+
+
+def scores(found: dict[str, Any]) -> dict[str, Any]:
+    """How often, with its interval, the best policy and an agent that does nothing stay upright in each world."""
+    return {
+        f"{one['policy']}, {one['agent']}": [one["success"], one["success_interval"]]
+        for one in found["evaluations"]
+        if one["agent"] != "random"
+    }
+
+
+def gaits(found: dict[str, Any]) -> dict[str, Any]:
+    """By command: shares of episodes without a fall of the median and the worst seed, and the median's velocities."""
+    rows: dict[str, Any] = {}
+    for one in found["results"][0]["gaits"]:
+        if one["agent"] == "greedy":
+            figures, names = one["figures"], ("forward", "left", "turn")
+            upright = [figures["success"][which] for which in ("median", "worst")]
+            moves = [figures[name]["median"] for name in names]
+            rows[one["scenario"]] = {"told": one["command"], "moves": moves, "upright": upright}
+    return rows
+
+
+KEPT = {"unmodified": scores, "gait": gaits}
 
 
 def main() -> None:

@@ -17,9 +17,9 @@ from humanoid_mjx.kernels.fallback import none_for, with_fallback
 Arithmetic = Literal["scalars", "tree", "arrays"]
 """Arithmetic of a task: scalars of many worlds (finite tasks, the chain), the tree's scalars, or arrays (MJX)."""
 
-Program = Literal["simulation", "tabular", "approximate", "other", "single"]
-"""Kind of a compiled program: physics alone, tabular or approximate Q-learning, any other learner, or a single world:
-that program should compile quickly, and need not run fast."""
+Program = Literal["simulation", "tabular", "approximate", "tiles", "other", "single"]
+"""Kind of a compiled program: physics alone, Q-learning by tables, networks (`approximate`) or tiles, any other
+learner, or a single world: that program should compile quickly, and need not run fast."""
 
 Options: TypeAlias = dict[str, str | bool]
 """`compiler_options` of a `jax.jit`."""
@@ -71,7 +71,7 @@ TABLE = (
     # Multi-output fusion, see `XLA_FLAGS`: chain dynamics are 5 times faster on a CPU, tabular learning 1.2 to 1.7
     # times, tile coding on the chain 2 times, what XLA computes beside the tree's kernel 1.1 to 1.4 times. No effect on
     # others, some of which abort, as does the tree's time step without a kernel.
-    Option(PASSES, "none", None, _for("scalars tree", "simulation tabular approximate")),
+    Option(PASSES, "none", None, _for("scalars tree", "simulation tabular approximate tiles")),
     # No sums and products by the library YNNPACK. That of jaxlib 0.10.2 writes beyond its stack where a sum has seven
     # axes, as evaluation on MJX has with runs, snapshots and episodes side by side, and the process crashes (jax issues
     # 39257 and 40412). MJX, `deep_q` and tile coding are 1.3 to 1.7 times faster without it; Brax's PPO is 1.2 times
@@ -80,7 +80,8 @@ TABLE = (
         "xla_cpu_experimental_ynn_fusion_type",
         "",
         "cpu",
-        _for("arrays tree", "simulation tabular approximate other") | _for("scalars", "tabular approximate"),
+        _for("arrays tree", "simulation tabular approximate tiles other")
+        | _for("scalars", "tabular approximate tiles"),
     ),
     # Vectors of the whole width of AVX-512; LLVM's default is half. With thousands of agents tables train up to 1.2
     # times as fast, on an AMD EPYC and on an Intel Xeon, to the same bits. MJX is slower with it, and on the Xeon the
@@ -90,15 +91,18 @@ TABLE = (
     # graphs `leg_reach` trains 2 times, `leg_reach_linear` 1.9 times as fast on one H200. Graphs of whole loops
     # (`xla_gpu_enable_command_buffer` with `WHILE`) are faster still, but one of ten runs of `stand` that had them fell
     # in greedy episodes at the end of a training in which it stood, for an unknown reason.
-    Option("xla_gpu_graph_min_graph_size", "1", "gpu", _for("scalars tree", "approximate")),
+    Option("xla_gpu_graph_min_graph_size", "1", "gpu", _for("scalars tree", "approximate tiles")),
     # Matrix products by cuBLAS. Triton's are up to 1.1 times as fast where several runs train side by side, but
     # choosing them took 10 s until `stand` began to train. Choosing other kernels of Triton gained nothing.
-    Option("xla_gpu_enable_triton_gemm", False, "gpu", _for("scalars tree", "approximate")),
+    Option("xla_gpu_enable_triton_gemm", False, "gpu", _for("scalars tree", "approximate tiles")),
     # cuBLAS by its own rules, without a trial of its algorithms. Trials run on the GPU while another thread trains, and
     # jaxlib 0.11.2 then sometimes corrupts its allocator of GPU memory: 5 of some 35 processes on one H200 ended in
     # `BFCAllocator::InsertFreeChunk` or a segmentation fault. What it does to the speed of MJX was not measured.
-    Option("xla_gpu_autotune_level", "0", "gpu", _for("scalars tree arrays", "simulation tabular approximate")),
-    Option("xla_gpu_experimental_enable_fusion_autotuner", False, "gpu", _for("scalars tree", "approximate")),
+    Option("xla_gpu_autotune_level", "0", "gpu", _for("scalars tree arrays", "simulation tabular approximate tiles")),
+    Option("xla_gpu_experimental_enable_fusion_autotuner", False, "gpu", _for("scalars tree", "approximate tiles")),
+    # The same bits twice: without it samples that share a weight are added up in any order. `leg_reach_linear` trains
+    # at .77 of its speed with it on one H100 (`docs/bench/h100_same_bits.json`).
+    Option("xla_gpu_enable_scatter_determinism_expander", True, "gpu", _for("scalars tree arrays", "tiles")),
     # Plain kernels. A decision of one robot that walks compiles in a fifth of the time and takes 2 ms longer.
     Option("xla_backend_optimization_level", "0", "cpu", _for("scalars tree arrays", "single")),
     Option("xla_cpu_use_fusion_emitters", False, "cpu", _for("scalars tree arrays", "single")),

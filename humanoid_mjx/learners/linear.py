@@ -1,7 +1,7 @@
 """Semi-gradient Q(lambda) with linear function approximation on tiles (Sutton and Barto 2018, chapters 9 to 12)."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
+from humanoid_mjx.compute import Program
 from humanoid_mjx.learners.approximate import ApproximateQ, Batch, chosen
 from humanoid_mjx.learners.features import Scale, Tiles, combined, tile_coding
 from humanoid_mjx.spec import traced
@@ -32,6 +33,7 @@ class LinearQ(ApproximateQ):
     Reinforcement Learning", 2017, section 4.1): each learns from what all have seen.
     """
 
+    program: ClassVar[Program] = "tiles"
     resolution: int = Field(8, ge=1, le=10_000, description="tiles per observation and tiling")
     focus: float = Field(1.0, ge=1, le=10, description="1: equal tiles; above 1: finer in the middle of a range")
     tilings: int = Field(8, ge=1, le=256, description="number of overlapping tilings")
