@@ -273,6 +273,12 @@ def public_robots() -> str:
     return table(f"robot | config | s | upright, five seeds, % | goes, m/s | turns, of 1 rad/s | {falls} | {own}", rows)
 
 
+def _on_cards(config: str, cards: int) -> str:
+    """Return how many times as fast as on one card a sweep trains on several."""
+    found = {row["cards"]: row["first"] for row in record("h100_scaling")["rows"] if row["config"] == config}
+    return rounded(found[cards]["steps_per_s"] / found[1]["steps_per_s"])
+
+
 def scaling() -> str:
     """Return how fast sweeps train on several cards of one host, and how long the commands take."""
     rows, found = [], record("h100_scaling")["rows"]
@@ -564,6 +570,7 @@ TABLES = {
         faster_than_mjx,
     )
 } | {
+    "four_cards": lambda: _on_cards("walk", 4),
     "cluster_hours": lambda: rounded(record("scheduler")["rows"][0]["gpu_hours"]),
     "cluster_results": lambda: rounded(record("scheduler")["rows"][0]["results_bytes"] / 1e9),
     "cluster_start": lambda: rounded(record("scheduler")["start_s"]),

@@ -1,9 +1,12 @@
 # pyright: reportAttributeAccessIssue=false
 """Does the servo of a robot hold it? Its torques while it stands at home, and gains that would do."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import eigh, null_space
 
 from humanoid_mjx.robot.description import Robot, ground_points
 
@@ -14,6 +17,11 @@ LEAST_RATIO, RATIO = 0.1, 0.5
 """The same of damping ratios: below and instead."""
 
 
+MOST_FACTOR, SURE = 100.0, 1.6
+"""Factor of the stiffness from which on no stiffness keeps a robot from tipping over, and the share above the least one
+that keeps it up although it sags; 1.3 does not do for G1 and T1."""
+
+
 def standing(robot: Robot) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
     """Return the torque that holds each joint of a robot which stands at home, N m, and the inertia about the joint
     while all else rests, kg m^2. The ground pushes all feet vertically, as evenly as balances."""
@@ -22,17 +30,64 @@ def standing(robot: Robot) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarr
     data.qpos[model.jnt_qposadr[robot.driven]] = robot.posture
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, matrix)
-    places, torque, jacobian = data.geom_xpos[balls], data.qfrc_bias.copy(), np.empty((3, model.nv))
-    balance = np.vstack([np.ones(len(balls)), (places - data.subtree_com[0]).T[:2]])
-    forces = np.linalg.lstsq(balance, np.array([robot.mass * float(np.linalg.norm(model.opt.gravity)), 0.0, 0.0]))[0]
-    for ball, place, force in zip(balls, places, forces, strict=True):
-        mujoco.mj_jac(model, data, jacobian, None, place, model.geom_bodyid[ball])
+    torque, jacobian = data.qfrc_bias.copy(), np.empty((3, model.nv))
+    for ball, force in zip(balls, supporting(robot, data), strict=True):
+        mujoco.mj_jac(model, data, jacobian, None, data.geom_xpos[ball], model.geom_bodyid[ball])
         torque -= force * jacobian[2]
     return np.abs(torque[dofs]), matrix[dofs, dofs]
 
 
+def tipping(robot: Robot) -> tuple[float, int]:
+    """Return how many times as stiff the servo must be for a robot that stands at home not to tip over, and the joint
+    whose stiffness counts most.
+
+    While the feet stay where they are, a posture is stable if its energy, of weight and servo, is the least of all
+    nearby: in each direction the servo's springs must outweigh what the weight gains.
+    """
+    assert robot.servo is not None
+    model, (balls, _) = robot.model, ground_points(robot.model)
+    data, bodies, dofs = mujoco.MjData(model), model.geom_bodyid[balls], model.jnt_dofadr[robot.driven]
+    data.qpos[model.jnt_qposadr[robot.driven]] = robot.posture
+    mujoco.mj_forward(model, data)
+    home, forces = data.qpos.copy(), supporting(robot, data)
+    points = np.einsum("bji,bj->bi", data.xmat[bodies].reshape(-1, 3, 3), data.geom_xpos[balls] - data.xpos[bodies])
+
+    def load(change: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
+        """What the weight and the ground ask of each degree of freedom after a small change."""
+        data.qpos[:] = home
+        mujoco.mj_integratePos(model, data.qpos, change, 1.0)
+        mujoco.mj_forward(model, data)
+        return data.qfrc_bias - forces @ jacobians(model, data, bodies, points)[:, 2]
+
+    small = 1e-4 * np.eye(model.nv)
+    weight = np.array([load(change) - load(-change) for change in small]) / 2e-4
+    load(np.zeros(model.nv))
+    free, springs = null_space(jacobians(model, data, bodies, points).reshape(-1, model.nv)), np.zeros(model.nv)
+    springs[dofs] = np.maximum(robot.servo[0], 1e-9)
+    stiffness = free.T @ (springs[:, None] * free)
+    least = 1e-6 * np.trace(stiffness) / len(stiffness) * np.eye(len(stiffness))
+    shares, ways = eigh(-free.T @ (weight + weight.T) @ free / 2, stiffness + least)
+    return float(shares[-1]), int((springs * (free @ ways[:, -1]) ** 2)[dofs].argmax())
+
+
+def jacobians(model: mujoco.MjModel, data: mujoco.MjData, bodies: Any, points: Any) -> Float[np.ndarray, "points 3 nv"]:
+    """Return the Jacobians of points that are fixed to bodies."""
+    found = np.empty((len(points), 3, model.nv))
+    for jacobian, body, point in zip(found, bodies.tolist(), points, strict=True):
+        mujoco.mj_jac(model, data, jacobian, None, data.xpos[body] + data.xmat[body].reshape(3, 3) @ point, body)
+    return found
+
+
+def supporting(robot: Robot, data: mujoco.MjData) -> Float[np.ndarray, " points"]:
+    """Return the vertical forces of the ground on the points of all feet, N, as even as balances."""
+    places = data.geom_xpos[ground_points(robot.model)[0]]
+    balance = np.vstack([np.ones(len(places)), (places - data.subtree_com[0]).T[:2]])
+    weight = robot.mass * float(np.linalg.norm(robot.model.opt.gravity))
+    return np.linalg.lstsq(balance, np.array([weight, 0.0, 0.0]))[0]
+
+
 def in_words(robot: Robot) -> list[str]:
-    """Return a line on the servo of a robot with feet, and one with other gains where it cannot hold the robot."""
+    """Return lines on the servo of a robot with feet: what it takes, whether it tips over, gains that would hold it."""
     assert robot.servo is not None
     (torque, inertia), (stiffness, damping), names = standing(robot), robot.servo, np.array(robot.joints)
     own, critical = robot.model.dof_damping[robot.model.jnt_dofadr[robot.driven]], 2 * np.sqrt(inertia)
@@ -43,6 +98,12 @@ def in_words(robot: Robot) -> list[str]:
         f"under its weight {names[most]} gives way by {sag[most]:.2g} degrees, {names[loaded]} takes "
         f"{share[loaded]:.0%} of its motor's limit; least damping ratio {ratio[least]:.2g}, of {names[least]}"
     ]
+    factor, weakest = tipping(robot)
+    if factor > MOST_FACTOR:
+        lines.append("without a policy it tips over, however stiff it is: its feet carry it on a line, or a point")
+    elif factor > 1:
+        stiffer = f"{float(f'{SURE * factor:.1e}'):g} times as stiff"
+        lines.append(f"without a policy it tips over; {stiffer} it would stand, {names[weakest]} counts most")
     if share[loaded] > 1:
         return [*lines, "no gains hold it: a motor is too weak, or home is no posture to stand in"]
     needed = np.maximum(torque / np.radians(SAGGED_DEG), stiffness)
