@@ -43,13 +43,15 @@ def started(config: str, settings: list[str], out: Path) -> subprocess.Popen[str
 
 
 def digests(out: Path) -> dict[str, str]:
-    """Digests of the tables of a run folder, and of all that its checkpoints have of a policy."""
+    """Digests of the tables of a run folder, and of all policies in the order of points and seeds."""
     found = {name: hashlib.sha256((out / name).read_bytes()) for name in TABLES}
-    found["policies"] = hashlib.sha256()
-    for file in sorted((out / "checkpoint").glob("*.npz")):
+    runs: dict[tuple[int, int], list[bytes]] = {}
+    for file in (out / "checkpoint").glob("*.npz"):
         with np.load(file) as arrays:
-            for name in sorted(each for each in arrays if each.startswith("policy")):
-                found["policies"].update(name.encode() + arrays[name].tobytes())
+            policy = [arrays[name] for name in sorted(arrays) if name.startswith("policy")]
+            for row, run in enumerate(zip(arrays["point"].tolist(), arrays["seed"].tolist(), strict=True)):
+                runs[run] = [array[row].tobytes() for array in policy]
+    found["policies"] = hashlib.sha256(b"".join(part for run in sorted(runs) for part in runs[run]))
     return {name: digest.hexdigest() for name, digest in found.items()}
 
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:  # redundant names: what a type checker takes as exported
     from humanoid_mjx.training.sweep import Run as Run
     from humanoid_mjx.training.sweep import sweep as sweep
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 _NAMES = {
     "api": "Policy Trained load_policy rollout train",
