@@ -1,6 +1,7 @@
 """Train the same sweeps on one and on several cards of this machine, and write the record.
 
 python experiments/scaling.py [--cards 1,2] [--only joint1,walk] [--once] [--small] [docs/bench/h100_scaling.json]
+python experiments/scaling.py docs/bench/h100_scaling.json --draw docs/scaling.png    # a record
 
 Each sweep is a whole command in a process of its own that sees so many cards: once with nothing compiled, and
 unless told `--once` again.
@@ -25,6 +26,7 @@ from typing import Any
 import jax
 
 from humanoid_mjx import compute
+from humanoid_mjx.report.style import COLORS, figure
 
 SWEEPS = {
     "joint1": ["seeds=800", "episodes=8_000"],  # 240,000 tables
@@ -97,6 +99,25 @@ def resumed(config: str, settings: list[str], cards: tuple[int, int], after: flo
     return found | {"ended_before": ended, "code": again.returncode, "tables": digest(out)}
 
 
+def draw(record: dict[str, Any], target: Path) -> None:
+    """Draw how many times as fast as on one card sweeps train, and how long the commands take."""
+    with figure(target, 1, 2) as (_, panels):
+        speed, command_s = panels.flat
+        for config, color in zip({row["config"]: None for row in record["rows"]}, COLORS, strict=False):
+            rows = [row for row in record["rows"] if row["config"] == config and "error" not in row]
+            cards, made = [row["cards"] for row in rows], [row.get("again", row["first"]) for row in rows]
+            times = [one["steps_per_s"] / made[0]["steps_per_s"] for one in made]
+            speed.plot(cards, times, "o-", color=color, label=config)
+            command_s.plot(cards, [one["command_s"] for one in made], "o-", color=color, label=config)
+        speed.plot(record["cards"], record["cards"], "--", color="0.6", label="as many times as cards")
+        for panel, words in (speed, "times the steps a second on one card, while training"), (command_s, "command, s"):
+            panel.set_title(words, loc="left")
+            panel.set_xlabel(f"cards of one host, {record['machine']['device']}")
+            panel.set_xticks(record["cards"])
+            panel.set_ylim(bottom=0)
+        speed.legend()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path, nargs="?")
@@ -104,7 +125,10 @@ def main() -> None:
     parser.add_argument("--only")
     parser.add_argument("--once", action="store_true")
     parser.add_argument("--small", action="store_true")
+    parser.add_argument("--draw", type=Path)
     given = parser.parse_args()
+    if given.draw:
+        return draw(json.loads(given.file.read_text(encoding="utf-8")), given.draw)
     cards, sweeps = [int(number) for number in given.cards.split(",")], SMALL if given.small else SWEEPS
     only = given.only.split(",") if given.only else list(sweeps)
     times = ("first",) if given.once else ("first", "again")
