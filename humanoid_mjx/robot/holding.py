@@ -1,8 +1,6 @@
 # pyright: reportAttributeAccessIssue=false
 """Does the servo of a robot hold it? Its torques while it stands at home, and gains that would do."""
 
-from typing import Any
-
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -22,19 +20,45 @@ MOST_FACTOR, SURE = 100.0, 1.6
 that keeps it up although it sags; 1.3 does not do for G1 and T1."""
 
 
+class Standing:
+    """A robot that stands at home: its state, and the ground's vertical forces on its feet, as even as balances, N."""
+
+    def __init__(self, robot: Robot):
+        self.model, (balls, _) = robot.model, ground_points(robot.model)
+        self.data, self.bodies = mujoco.MjData(self.model), self.model.geom_bodyid[balls]
+        self.data.qpos[self.model.jnt_qposadr[robot.driven]] = robot.posture
+        mujoco.mj_forward(self.model, self.data)
+        self.home, places = self.data.qpos.copy(), self.data.geom_xpos[balls]
+        axes = self.data.xmat[self.bodies].reshape(-1, 3, 3)
+        self.points = np.einsum("bji,bj->bi", axes, places - self.data.xpos[self.bodies])
+        balance = np.vstack([np.ones(len(balls)), (places - self.data.subtree_com[0]).T[:2]])
+        weight = robot.mass * float(np.linalg.norm(self.model.opt.gravity))
+        self.forces = np.linalg.lstsq(balance, np.array([weight, 0.0, 0.0]))[0]
+
+    def jacobians(self) -> Float[np.ndarray, "points 3 nv"]:
+        """Return the Jacobians of the points of the feet."""
+        found, data = np.empty((len(self.points), 3, self.model.nv)), self.data
+        for jacobian, body, point in zip(found, self.bodies.tolist(), self.points, strict=True):
+            place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
+            mujoco.mj_jac(self.model, data, jacobian, None, place, body)
+        return found
+
+    def load(self, change: Float[np.ndarray, " nv"] | None = None) -> Float[np.ndarray, " nv"]:
+        """Return what the weight and the ground ask of each degree of freedom, after a small change from home."""
+        if change is not None:
+            self.data.qpos[:] = self.home
+            mujoco.mj_integratePos(self.model, self.data.qpos, change, 1.0)
+            mujoco.mj_forward(self.model, self.data)
+        return self.data.qfrc_bias - self.forces @ self.jacobians()[:, 2]
+
+
 def standing(robot: Robot) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
     """Return the torque that holds each joint of a robot which stands at home, N m, and the inertia about the joint
     while all else rests, kg m^2. The ground pushes all feet vertically, as evenly as balances."""
-    model, (balls, _) = robot.model, ground_points(robot.model)
-    data, matrix, dofs = mujoco.MjData(model), np.empty((model.nv, model.nv)), model.jnt_dofadr[robot.driven]
-    data.qpos[model.jnt_qposadr[robot.driven]] = robot.posture
-    mujoco.mj_forward(model, data)
-    mujoco.mj_fullM(model, data, matrix)
-    torque, jacobian = data.qfrc_bias.copy(), np.empty((3, model.nv))
-    for ball, force in zip(balls, supporting(robot, data), strict=True):
-        mujoco.mj_jac(model, data, jacobian, None, data.geom_xpos[ball], model.geom_bodyid[ball])
-        torque -= force * jacobian[2]
-    return np.abs(torque[dofs]), matrix[dofs, dofs]
+    state, model = Standing(robot), robot.model
+    matrix, dofs = np.empty((model.nv, model.nv)), model.jnt_dofadr[robot.driven]
+    mujoco.mj_fullM(model, state.data, matrix)
+    return np.abs(state.load()[dofs]), matrix[dofs, dofs]
 
 
 def tipping(robot: Robot) -> tuple[float, int]:
@@ -45,45 +69,15 @@ def tipping(robot: Robot) -> tuple[float, int]:
     nearby: in each direction the servo's springs must outweigh what the weight gains.
     """
     assert robot.servo is not None
-    model, (balls, _) = robot.model, ground_points(robot.model)
-    data, bodies, dofs = mujoco.MjData(model), model.geom_bodyid[balls], model.jnt_dofadr[robot.driven]
-    data.qpos[model.jnt_qposadr[robot.driven]] = robot.posture
-    mujoco.mj_forward(model, data)
-    home, forces = data.qpos.copy(), supporting(robot, data)
-    points = np.einsum("bji,bj->bi", data.xmat[bodies].reshape(-1, 3, 3), data.geom_xpos[balls] - data.xpos[bodies])
-
-    def load(change: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-        """What the weight and the ground ask of each degree of freedom after a small change."""
-        data.qpos[:] = home
-        mujoco.mj_integratePos(model, data.qpos, change, 1.0)
-        mujoco.mj_forward(model, data)
-        return data.qfrc_bias - forces @ jacobians(model, data, bodies, points)[:, 2]
-
+    state, model, dofs = Standing(robot), robot.model, robot.model.jnt_dofadr[robot.driven]
+    free, springs = null_space(state.jacobians().reshape(-1, model.nv)), np.zeros(model.nv)
     small = 1e-4 * np.eye(model.nv)
-    weight = np.array([load(change) - load(-change) for change in small]) / 2e-4
-    load(np.zeros(model.nv))
-    free, springs = null_space(jacobians(model, data, bodies, points).reshape(-1, model.nv)), np.zeros(model.nv)
+    weight = np.array([state.load(change) - state.load(-change) for change in small]) / 2e-4
     springs[dofs] = np.maximum(robot.servo[0], 1e-9)
     stiffness = free.T @ (springs[:, None] * free)
     least = 1e-6 * np.trace(stiffness) / len(stiffness) * np.eye(len(stiffness))
     shares, ways = eigh(-free.T @ (weight + weight.T) @ free / 2, stiffness + least)
     return float(shares[-1]), int((springs * (free @ ways[:, -1]) ** 2)[dofs].argmax())
-
-
-def jacobians(model: mujoco.MjModel, data: mujoco.MjData, bodies: Any, points: Any) -> Float[np.ndarray, "points 3 nv"]:
-    """Return the Jacobians of points that are fixed to bodies."""
-    found = np.empty((len(points), 3, model.nv))
-    for jacobian, body, point in zip(found, bodies.tolist(), points, strict=True):
-        mujoco.mj_jac(model, data, jacobian, None, data.xpos[body] + data.xmat[body].reshape(3, 3) @ point, body)
-    return found
-
-
-def supporting(robot: Robot, data: mujoco.MjData) -> Float[np.ndarray, " points"]:
-    """Return the vertical forces of the ground on the points of all feet, N, as even as balances."""
-    places = data.geom_xpos[ground_points(robot.model)[0]]
-    balance = np.vstack([np.ones(len(places)), (places - data.subtree_com[0]).T[:2]])
-    weight = robot.mass * float(np.linalg.norm(robot.model.opt.gravity))
-    return np.linalg.lstsq(balance, np.array([weight, 0.0, 0.0]))[0]
 
 
 def in_words(robot: Robot) -> list[str]:
