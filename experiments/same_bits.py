@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scaling import TABLES, command
 
 from humanoid_mjx import compute
 
@@ -31,15 +32,14 @@ SWEEPS = {
 }
 """A sweep of each learner that this package has, and what changes of its config."""
 
-TABLES = ("results.parquet", "summary.parquet")
 SMALL = {"joint1": ["seeds=1", "episodes=100"], "leg_reach_linear": ["seeds=1", "total_steps=20_000", "record=5"]}
 
 
 def started(config: str, settings: list[str], out: Path) -> subprocess.Popen[str]:
-    words = [sys.executable, "-m", "humanoid_mjx", "sweep", config, "--out", str(out)]
-    words += [word for setting in settings for word in ("--set", setting)]
     env = os.environ | {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
-    return subprocess.Popen(words, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command(config, settings, out), env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
 
 
 def digests(out: Path) -> dict[str, str]:
