@@ -5,9 +5,9 @@ python experiments/public_robots.py --runs FOLDER --cards 2         # trains, tw
 python experiments/public_robots.py --runs FOLDER docs/bench/public_robots.json    # judges them, too
 
 Each robot is a whole command in a process of its own that sees one card; those whose run is in FOLDER are not trained
-again. `--only`, `--config` and `--set` train others, or otherwise. The record has the seconds of the command, the
-final scores of each seed on 1,024 held-out worlds of the training's physics, and what `evaluate --unmodified` and
-`evaluate --gait` say of the best policy.
+again. `--only` trains others, or otherwise: `go1,h1:walk_humanoid,t1:walk_humanoid:task.command.standing=0.25`. The
+record, to which a second call adds, has the seconds of the command, the final scores of each seed on 1,024 held-out
+worlds of the training's physics, and what `evaluate --unmodified` and `evaluate --gait` say of the best policy.
 """
 
 import argparse
@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from queue import Queue
 from typing import Any
@@ -50,36 +50,37 @@ def spoken(words: list[str], card: int) -> tuple[float, str]:
     return round(time.perf_counter() - began, 1), "".join(said)
 
 
-def trained(robot: str, config: str, sets: list[str], place: Path, cards: "Queue[int]") -> dict[str, Any]:
-    """Train a robot on the next free card: the first part of a row of the record, which is kept beside the run."""
-    kept, card = place / f"{robot}.json", cards.get()
+def tried(trial: str, place: Path, cards: "Queue[int]", judge: bool) -> dict[str, Any]:
+    """Train a robot on the next free card, and judge it: a row of the record, which is kept beside the run."""
+    robot, config, *more = [*trial.split(":"), "walk"] if ":" not in trial else trial.split(":")
+    sets, card, out = WALK + more, cards.get(), place / trial.replace(":", "-") / robot
+    kept = out.with_suffix(".json")
+    out.parent.mkdir(parents=True, exist_ok=True)
     try:
+        row: dict[str, Any] = {"robot": robot, "config": config, "set": sets}
         if kept.is_file():
-            return json.loads(kept.read_text(encoding="utf-8"))
-        words = ["sweep", config, "--out", str(place / robot)]
-        words += [word for setting in (f"task.robot={robot}", *sets) for word in ("--set", setting)]
-        seconds, failed = spoken(words, card)
-        row: dict[str, Any] = {"robot": robot, "config": config, "set": sets, "command_s": seconds}
-        row |= {"error": failed} if failed else {}
-        kept.write_text(json.dumps(row), encoding="utf-8")
-        print(json.dumps(row), flush=True)
-        return row
+            row = json.loads(kept.read_text(encoding="utf-8"))
+        else:
+            words = ["sweep", config, "--out", str(out)]
+            words += [word for setting in (f"task.robot={robot}", *sets) for word in ("--set", setting)]
+            row["command_s"], failed = spoken(words, card)
+            row |= {"error": failed} if failed else {}
+            kept.write_text(json.dumps(row), encoding="utf-8")
+            print(json.dumps(row), flush=True)
+        return judged(row, out, card) if judge and "error" not in row else row
     finally:
         cards.put(card)
 
 
-def judged(row: dict[str, Any], place: Path) -> dict[str, Any]:
+def judged(row: dict[str, Any], out: Path, card: int) -> dict[str, Any]:
     """The whole row: with what the run folder says of each seed, and commands of the best policy."""
-    robot, out = row["robot"], place / row["robot"]
-    if "error" in row:
-        return row
     made = json.loads((out / "provenance.json").read_text(encoding="utf-8"))
     row |= {name: made.get(name) for name in ("machine", "commit", "steps_per_s", "compile_s", "wall_s")}
     last = {one["seed"]: one for one in pq.read_table(out / "results.parquet").to_pylist()}
     row["seeds"] = [{name: x for name, x in one.items() if name.startswith("greedy")} for one in last.values()]
     for name, options in JUDGES.items():
-        file = place / f"{robot}-{name}.json"
-        _, failed = spoken(["evaluate", str(out), *options, "--json", str(file)], 0)
+        file = out.with_name(f"{out.name}-{name}.json")
+        _, failed = spoken(["evaluate", str(out), *options, "--json", str(file)], card)
         row[name] = failed or KEPT[name](json.loads(file.read_text(encoding="utf-8")))
     return row
 
@@ -113,20 +114,21 @@ def main() -> None:
     parser.add_argument("file", type=Path, nargs="?")
     parser.add_argument("--cards", type=int, default=1)
     parser.add_argument("--only")
-    parser.add_argument("--config", default="walk")
-    parser.add_argument("--set", action="append")
     parser.add_argument("--runs", type=Path)
     given = parser.parse_args()
-    robots, cards = given.only.split(",") if given.only else ROBOTS, Queue[int]()
+    trials, cards = given.only.split(",") if given.only else ROBOTS, Queue[int]()
     for card in range(given.cards):
         cards.put(card)
     record = compute.made_by() | {"command": "python experiments/public_robots.py", "rows": []}
+    if given.file and given.file.is_file():
+        record = json.loads(given.file.read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(given.cards) as pool:
         place = given.runs or Path(folder)
         place.mkdir(parents=True, exist_ok=True)
-        for row in pool.map(lambda robot: trained(robot, given.config, given.set or WALK, place, cards), robots):
-            if given.file:
-                record["rows"].append(judged(row, place))
+        judge = given.file is not None
+        for done in as_completed([pool.submit(tried, trial, place, cards, judge) for trial in trials]):
+            record["rows"].append(done.result())
+            if judge:
                 given.file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 

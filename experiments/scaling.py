@@ -6,8 +6,8 @@ python experiments/scaling.py docs/bench/h100_scaling.json --draw docs/scaling.p
 Each sweep is a whole command in a process of its own that sees so many cards: once with nothing compiled, and
 unless told `--once` again.
 The record has the rate of training, the seconds of the command, and whether tables of results are the same, byte by
-byte, as those of the first number of cards, and as those of the second time. A further sweep is killed on the largest
-number of cards and resumed on the smallest. Without a GPU devices of the CPU stand for cards. `--small` tries the
+byte, as those of the first number of cards, and as those of the second time. Each sweep is also killed on the largest
+number of cards and resumed on the smallest, but for those of `ONCE`. Without a GPU devices of the CPU stand for cards. `--small` tries the
 script.
 """
 
@@ -24,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
+import pyarrow.parquet as pq
 
 from humanoid_mjx import compute
 from humanoid_mjx.report.style import COLORS, figure
@@ -38,8 +40,11 @@ SWEEPS = {
 }
 """Sweeps with work for several cards, and what they change of their config."""
 
+ONCE = ("walk_humanoid",)
+"""Sweeps too long to be trained a further time."""
+
 TINY = ["learner.envs=64", "learner.evaluation_envs=16", "learner.minibatches=1", "total_steps=20_000", "record=5"]
-SMALL = {"joint1": ["seeds=1", "episodes=100"], "leg_reach": ["seeds=4", "learner.evaluations=1", *TINY]}
+SMALL = {"joint1": ["seeds=1", "episodes=100"], "leg_reach": ["seeds=4", "learner.evaluations=1", *TINY], "walk_dog": ["seeds=2", "learner.evaluations=1", *TINY]}
 TABLES = ("results.parquet", "summary.parquet")
 
 
@@ -60,6 +65,11 @@ def digest(out: Path) -> str:
     return hashlib.sha256(b"".join((out / name).read_bytes() for name in TABLES)).hexdigest()
 
 
+def success(out: Path) -> float:
+    """The mean success of all runs at their end."""
+    return round(float(np.mean(pq.read_table(out / "summary.parquet")["greedy_success"])), 4)
+
+
 def trained(config: str, settings: list[str], cards: int, place: Path, times: tuple[str, ...]) -> dict[str, Any]:
     """One row of the record: the same command twice, with an empty cache and with what the first left there."""
     row: dict[str, Any] = {"config": config, "set": settings, "cards": cards}
@@ -77,7 +87,7 @@ def trained(config: str, settings: list[str], cards: int, place: Path, times: tu
             return row | {"error": process.stderr.strip().splitlines()[-1:]}
         made = json.loads((out / "provenance.json").read_text())
         rates = {name: made.get(name) for name in ("steps_per_s", "wall_s", "compile_s")}
-        row[which] = rates | {"command_s": round(seconds, 1), "tables": digest(out)}
+        row[which] = rates | {"command_s": round(seconds, 1), "tables": digest(out), "success": success(out)}
         print(config, cards, which, row[which], flush=True)
     return row | {"same_bits_again": row["first"]["tables"] == row["again"]["tables"] if len(times) > 1 else None}
 
@@ -96,7 +106,7 @@ def resumed(config: str, settings: list[str], cards: tuple[int, int], after: flo
     env = environment(cards[1], place / f"cache-{cards[1]}")
     again = subprocess.run([*words, "--resume"], env=env, stdout=subprocess.DEVNULL)
     found = {"config": config, "killed_on": cards[0], "resumed_on": cards[1], "after_s": round(after, 1)}
-    return found | {"ended_before": ended, "code": again.returncode, "tables": digest(out)}
+    return found | {"ended_before": ended, "code": again.returncode, "tables": digest(out), "success": success(out)}
 
 
 def draw(record: dict[str, Any], target: Path) -> None:
@@ -140,8 +150,8 @@ def main() -> None:
             for row in done:
                 row["same_bits_as_first"] = row[last]["tables"] == done[0][last]["tables"]
             record["rows"] += rows
-            if config in ("joint1", "leg_reach") and len(done) == len(cards):
-                after = 0.7 * done[-1][last]["command_s"]
+            if config not in ONCE and len(done) == len(cards):
+                after = 0.7 * done[-1][last]["command_s"]  # before the end, if nothing is stored until then
                 killed = resumed(config, sweeps[config], (cards[-1], cards[0]), after, Path(folder))
                 killed["same_bits"] = killed["tables"] == done[0][last]["tables"]
                 record["resumed"].append(killed)
