@@ -7,8 +7,8 @@ Each sweep is a whole command in a process of its own that sees so many cards: o
 unless told `--once` again.
 The record has the rate of training, the seconds of the command, and whether tables of results are the same, byte by
 byte, as those of the first number of cards, and as those of the second time. Each sweep is also killed on the largest
-number of cards and resumed on the smallest, but for those of `ONCE`. Without a GPU devices of the CPU stand for cards. `--small` tries the
-script.
+number of cards and resumed on the smallest, but for those of `ONCE`. Without a GPU devices of the CPU stand for
+cards. `--small` tries the script.
 """
 
 import argparse
@@ -29,6 +29,8 @@ import pyarrow.parquet as pq
 
 from humanoid_mjx import compute
 from humanoid_mjx.report.style import COLORS, figure
+from humanoid_mjx.runs.listing import look_at
+from humanoid_mjx.spec import InputError
 
 SWEEPS = {
     "joint1": ["seeds=800", "episodes=8_000"],  # 240,000 tables
@@ -44,7 +46,11 @@ ONCE = ("walk_humanoid",)
 """Sweeps too long to be trained a further time."""
 
 TINY = ["learner.envs=64", "learner.evaluation_envs=16", "learner.minibatches=1", "total_steps=20_000", "record=5"]
-SMALL = {"joint1": ["seeds=1", "episodes=100"], "leg_reach": ["seeds=4", "learner.evaluations=1", *TINY], "walk_dog": ["seeds=2", "learner.evaluations=1", *TINY]}
+SMALL = {
+    "joint1": ["seeds=1", "episodes=100"],
+    "leg_reach": ["seeds=4", "learner.evaluations=1", *TINY],
+    "walk_dog": ["seeds=2", "learner.evaluations=1", *TINY],
+}
 TABLES = ("results.parquet", "summary.parquet")
 
 
@@ -92,20 +98,30 @@ def trained(config: str, settings: list[str], cards: int, place: Path, times: tu
     return row | {"same_bits_again": row["first"]["tables"] == row["again"]["tables"] if len(times) > 1 else None}
 
 
+def stored(out: Path) -> float:
+    """The share of a sweep's training that its folder holds."""
+    try:
+        return look_at(out).share
+    except InputError:  # nothing yet
+        return 0.0
+
+
 def resumed(config: str, settings: list[str], cards: tuple[int, int], after: float, place: Path) -> dict[str, Any]:
-    """Kill a sweep on the first number of cards, when something is stored or after so long; resume on the second."""
+    """Kill a sweep on the first number of cards, some of it stored or after so long; resume on the second."""
     out = place / f"{config}-killed"
     words = command(config, settings, out)
     process = subprocess.Popen(words, env=environment(cards[0], place / f"cache-{cards[0]}"), stdout=subprocess.DEVNULL)
     began = time.perf_counter()
-    while process.poll() is None and time.perf_counter() - began < after and not list(out.glob("checkpoint/*")):
-        time.sleep(0.02)
+    while process.poll() is None and time.perf_counter() - began < after and not stored(out):
+        time.sleep(0.2)
     ended, after = process.poll() is not None, time.perf_counter() - began
     process.send_signal(signal.SIGKILL)
     process.wait()
+    share = stored(out)
     env = environment(cards[1], place / f"cache-{cards[1]}")
     again = subprocess.run([*words, "--resume"], env=env, stdout=subprocess.DEVNULL)
     found = {"config": config, "killed_on": cards[0], "resumed_on": cards[1], "after_s": round(after, 1)}
+    found |= {"stored": share}
     return found | {"ended_before": ended, "code": again.returncode, "tables": digest(out), "success": success(out)}
 
 
