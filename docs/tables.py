@@ -255,9 +255,11 @@ def unmodified() -> str:
 
 
 def public_robots() -> str:
-    """Return how public robots walk after a training on one H100."""
-    rows = []
-    for row in record("h100_public_robots")["rows"]:
+    """Return how public robots walk after a training on one GPU."""
+    rows, found = [], [(card, row) for card in ("h100", "h200") for row in record(f"{card}_public_robots")["rows"]]
+    for card, row in found:
+        if row["robot"] == "t1_stiff":  # a trial that did not help
+            continue
         name, gait, seeds = row["robot"], row["gait"], [each["greedy_success"] for each in row["seeds"]]
         own = [rounded(100 * row["unmodified"][f"{name}{where}, greedy"][0], 0) for where in ("", ", unmodified")]
         ahead = [each for words, each in gait.items() if words.startswith("forward ")][:-1]  # the last one is too fast
@@ -266,11 +268,12 @@ def public_robots() -> str:
         worst = [rounded(100 * gait[words]["upright"][1], 0) for words in ("stand", "sudden turn")]
         worst.insert(1, rounded(100 * min(each["upright"][1] for each in ahead), 0))
         all_seeds = f"{rounded(100 * min(seeds), 0)} to {rounded(100 * max(seeds), 0)}"
-        cells = f"`{row['config']}`", rounded(row["command_s"], 0), all_seeds, going, rounded(turn), *worst, *own
-        rows.append((f"`{name}`", *cells))
-    falls = "worst seed upright, %: standing | ahead | sudden turns"
+        words = " ".join(["`" + row["config"], *(f"--set {each}`" for each in row["set"][2:])]).rstrip("`") + "`"
+        cells = card.upper(), rounded(row["command_s"], 0), all_seeds, going, rounded(turn), *worst, *own
+        rows.append((f"`{name}`", words, *cells))
+    moves, falls = "goes, m/s | turns, of 1 rad/s", "worst seed upright, %: standing | ahead | sudden turns"
     own = "best, `mujoco`, % | `unmodified`, %"
-    return table(f"robot | config | s | upright, five seeds, % | goes, m/s | turns, of 1 rad/s | {falls} | {own}", rows)
+    return table(f"robot | config | card | s | upright, five seeds, % | {moves} | {falls} | {own}", rows)
 
 
 def _on_cards(config: str, cards: int) -> str:

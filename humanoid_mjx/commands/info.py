@@ -59,6 +59,10 @@ def show_keys(name: str | None) -> None:
     console.print("Sweeping a traced value compiles nothing; points that differ in static ones compile apart.")
 
 
+QUICK_LEGS = 0.4
+"""Longest legs of a body on two feet that walks with the quick steps of the config `walk`, m (`docs/robots.md`)."""
+
+
 def _check_name(name: str) -> None:
     """Raise an InputError for a name that stands for nothing."""
     there = [*TASKS, *LEARNERS, *ROBOTS, *names("robots", ".yaml"), *names("configs", ".yaml")]
@@ -90,7 +94,10 @@ def _show_robot(name: str) -> None:
     lines["contacts"] = f"{robot.model.npair} with the ground{others}"
     refused = [f"{fault.what} (take {fault.change})" for fault in faults(robot.model, IMU)]
     lines["physics"] = f"tree refuses {'; '.join(refused)}: take mujoco or mjx-jax" if refused else "tree takes it"
-    lines |= {"servo": "\n          ".join(in_words(robot))} if robot.servo and robot.points else {}
+    if robot.servo and robot.points:
+        lines["servo"] = "\n          ".join(in_words(robot))
+        config = "walk_humanoid" if len(robot.feet) == 2 and robot.leg_length > QUICK_LEGS else "walk"
+        lines["training"] = f"humanoid-mjx sweep {config} --set task.robot={name}"
     for key, value in lines.items():
         console.print(f"{key:9} {value}", highlight=False, markup=False, soft_wrap=True)
     _print_rows("", [HEADINGS, *robot.differences()])

@@ -139,6 +139,11 @@ def test_info_says_what_a_legged_task_needs_of_a_robot(tmp_path):
     assert "  ball joints; to change: three hinges in their place" in done.output
 
 
+@pytest.mark.parametrize(("robot", "config"), [("humanoid", "walk_humanoid"), ("dog", "walk")])
+def test_info_names_the_config_that_trains_a_robot(robot, config):
+    assert f"training  humanoid-mjx sweep {config} --set task.robot={robot}\n" in told("info", robot)
+
+
 def test_a_sweep_whose_reader_has_gone_trains_on(tmp_path):
     command = [sys.executable, "-m", "humanoid_mjx", "sweep", write_config(tmp_path / "a.yaml", [0.1]), "--out", "run"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
