@@ -1,6 +1,7 @@
 """The tables of a run folder, derived from its finished blocks."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,6 +31,10 @@ class Labels(NamedTuple):
     """The count at each record point, by the rung of the run: one rung but in mode halving."""
 
 
+ROWS = 2**20
+"""Rows of a table that are made and written at once: few enough to stay in a cache."""
+
+
 def write_tables(folder: RunFolder, labels: Labels) -> None:
     """Write results, summary and timing of all runs that are finished, ordered by point and seed.
 
@@ -39,24 +44,37 @@ def write_tables(folder: RunFolder, labels: Labels) -> None:
     arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."), folder.digest)
     if not arrays:
         return
+    size = max(1, ROWS // labels.places.shape[1])
+    parts = [{name: array[i : i + size] for name, array in arrays.items()} for i in range(0, len(arrays["seed"]), size)]
+    for name in ("results", "summary", "timing"):
+        with folder.writing(f"{name}.parquet") as path, ExitStack() as opened:
+            writer = None
+            for part in parts:
+                try:
+                    table = pa.table(_columns(name, labels, part)).replace_schema_metadata({"config": folder.digest})
+                except (LookupError, ValueError, pa.ArrowException) as error:
+                    raise InputError(
+                        f"{folder.path / 'checkpoint'}: what it holds does not fit this training."
+                    ) from error
+                if writer is None:
+                    made = pq.ParquetWriter(path, table.schema, compression="zstd", write_page_checksum=True)
+                    writer = opened.enter_context(made)
+                writer.write_table(table)
+
+
+def _columns(table: str, labels: Labels, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """The columns of a table, of some runs: a row for each run in the summary, for each record point in the others."""
     runs = {"point": arrays["point"], "seed": arrays["seed"]}
-    try:
-        runs |= {"rung": arrays["rung"] + 1} if "rung" in arrays else {}
-        rows = {name: np.repeat(numbers, labels.places.shape[1]) for name, numbers in runs.items()}
-        rows[labels.unit] = labels.places[arrays.get("rung", np.zeros_like(runs["point"]))].reshape(-1).astype(np.int32)
-        curves = {name: curve.reshape(-1) for name, curve in named(arrays, "curve").items()}
-        columns = {
-            "results": rows | _hyper(labels, rows["point"]) | curves,
-            "summary": runs | _hyper(labels, arrays["point"]) | scores(arrays),
-            "timing": rows | {"wall_s": arrays["time.wall_s"].reshape(-1)},
-        }
-        tables = {name: pa.table(each) for name, each in columns.items()}
-    except (LookupError, ValueError, pa.ArrowException) as error:
-        raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.") from error
-    for name, table in tables.items():
-        with folder.writing(f"{name}.parquet") as path:
-            table = table.replace_schema_metadata({"config": folder.digest})
-            pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+    runs |= {"rung": arrays["rung"] + 1} if "rung" in arrays else {}
+    if table == "summary":
+        return runs | _hyper(labels, arrays["point"]) | scores(arrays)
+    record = labels.places.shape[1]
+    rows = {name: np.repeat(numbers, record) for name, numbers in runs.items()}
+    rows[labels.unit] = labels.places[arrays.get("rung", np.zeros_like(runs["point"]))].reshape(-1).astype(np.int32)
+    if table == "timing":
+        return rows | {"wall_s": arrays["time.wall_s"].reshape(-1)}
+    curves = {name: curve.reshape(-1) for name, curve in named(arrays, "curve").items()}
+    return rows | _hyper(labels, rows["point"]) | curves
 
 
 def finished_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None) -> dict[str, np.ndarray]:
@@ -203,7 +221,8 @@ def _mean(curve: np.ndarray) -> np.ndarray:
 def _hyper(labels: Labels, point: np.ndarray) -> dict[str, pa.DictionaryArray]:
     """The columns of hyper-parameters, by the sweep point of each row."""
     columns = {name: pa.array(values).dictionary_encode() for name, values in labels.hyper.items()}
+    point = pa.array(point)
     return {
-        name: pa.DictionaryArray.from_arrays(column.indices.take(pa.array(point)), column.dictionary)
+        name: pa.DictionaryArray.from_arrays(column.indices.take(point), column.dictionary)
         for name, column in columns.items()
     }
