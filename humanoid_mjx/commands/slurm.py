@@ -1,11 +1,11 @@
 """The command `sweep --slurm`, which hands the sweep over to Slurm through submitit: an array of jobs, each with some
-chunks of runs, and a job that writes the tables when all have ended."""
+chunks of runs, for each rung of a sweep in mode halving, and a job that writes the tables when all have ended."""
 
 import importlib
 import os
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from humanoid_mjx.commands.sweep import run_sweep
 from humanoid_mjx.compute import kept
 from humanoid_mjx.config import load, parse_yaml
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
-from humanoid_mjx.runs.tables import finished_runs, run_numbers
+from humanoid_mjx.runs.tables import all_runs, run_numbers
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.chunks import Chunk, Desk, chunks
 from humanoid_mjx.training.plan import Plan, make_plan
@@ -41,12 +41,15 @@ LOGS = "slurm"
 
 @dataclass(frozen=True)
 class Job:
-    """A job of the array: it trains some chunks of a run folder."""
+    """A job of an array: it trains some chunks of a run folder, once the rung before is finished."""
 
     run: Path
     numbers: tuple[int, ...]
+    after: tuple[int, ...] = ()
+    """Processes to wait for, where no Slurm does."""
 
     def __call__(self) -> None:
+        _wait(self.after)
         compute.start(mjx="mjx-jax" in load(self.run / "config.yaml").physics)
         with kept.keeping():
             train_chunks(self.run, self.numbers)
@@ -63,11 +66,10 @@ class Tables:
     run: Path
     trackers: tuple[str, ...]
     after: tuple[int, ...]
-    """Processes to wait for, where no Slurm does."""
+    """As for `Job`."""
 
     def __call__(self) -> None:
-        while any(map(_runs, self.after)):
-            time.sleep(0.1)
+        _wait(self.after)
         run_sweep(str(self.run / "config.yaml"), self.run, [], True, self.trackers, engine=Others)
 
     checkpoint = Job.checkpoint
@@ -101,11 +103,6 @@ def submit_sweep(
     submitit, parameters = _submitit(), _parameters(given)
     Tracking(trackers, console.print)  # now rather than in the last job says what is missing
     plan = make_plan(load(config, overrides))
-    if len(plan.rungs) > 1:
-        raise InputError(
-            "--slurm: in mode halving the results of a rung decide which points train next, and jobs of an array do "
-            f"not wait for each other; in one job write humanoid-mjx sweep {config}, on several machines add --ray."
-        )
     place = Path(out or (latest_path if resume else fresh_path)(plan.config.name))
     folder = (RunFolder.resume if resume else RunFolder.create)(place, plan.resolved())
     try:
@@ -125,7 +122,7 @@ def submit_sweep(
 def _submit(
     submitit: Any, parameters: dict[str, Any], plan: Plan, place: Path, trackers: Sequence[str]
 ) -> tuple[list[Any], Any]:
-    """Submit the array and the job that follows it."""
+    """Submit an array for each rung, and the job that follows them."""
     cluster, count = parameters.pop("cluster", "slurm"), parameters.pop("jobs", JOBS)
     if not isinstance(count, int) or count < 1:
         raise InputError(f"jobs must be a whole number of at least 1, got {count}.")
@@ -133,23 +130,40 @@ def _submit(
     executor = submitit.AutoExecutor(folder=place / LOGS, cluster=cluster, **limits)
     defaults = {"name": plan.config.name} | ({"timeout_min": 60 * 24 * 7} if cluster == "local" else {})
     executor.update_parameters(**defaults | parameters)
-    done = run_numbers(finished_runs(place, ("point", "seed")), len(plan.points), plan.config.seeds)
-    left = [chunk.number for chunk in chunks(plan) if not np.isin(chunk.runs, done).all()]
-    run, jobs = place.absolute(), []
-    if left:
-        with executor.batch():
-            jobs = [
-                executor.submit(Job(run, tuple(part.tolist())))
-                for part in np.array_split(np.array(left), min(count, len(left)))
-            ]
+    more, run = parameters.get("slurm_additional_parameters", {}), place.absolute()
+    jobs: list[Any] = []
     after: tuple[int, ...] = ()
-    if cluster == "local":
-        after = tuple(int(job.job_id) for job in jobs)
-    elif jobs:
-        more = parameters.get("slurm_additional_parameters", {})
-        dependency = {"dependency": f"afterany:{jobs[0].job_id.partition('_')[0]}"}
-        executor.update_parameters(slurm_additional_parameters=more | dependency)
+    for left in _numbers(plan, place):
+        with executor.batch():
+            parts = np.array_split(np.array(left), min(count, len(left)))
+            array = [executor.submit(Job(run, tuple(part.tolist()), after)) for part in parts]
+        jobs += array
+        if cluster == "local":
+            after = tuple(int(job.job_id) for job in array)
+        else:
+            dependency = {"dependency": f"afterany:{array[0].job_id.partition('_')[0]}"}
+            executor.update_parameters(slurm_additional_parameters=more | dependency)
     return jobs, executor.submit(Tables(run, tuple(trackers), after))
+
+
+def _numbers(plan: Plan, place: Path) -> Iterator[list[int]]:
+    """For each rung that is not finished, the numbers of chunks that may be left. Which points train at a later rung is
+    not known yet; its chunks are no more than those of its runs in a row, and one for each further group."""
+    done = run_numbers(all_runs(place, ("point", "seed")), len(plan.points), plan.config.seeds)
+    left = [chunk.number for chunk in chunks(plan) if not np.isin(chunk.runs, done).all()]
+    if left:
+        yield left
+    for index, rung in enumerate(plan.rungs[1:], 1):
+        runs = rung.points * plan.config.seeds
+        stored = np.count_nonzero(done // plan.config.seeds // len(plan.points) == index)
+        if stored < runs:
+            first, most = index * plan.num_runs, -(-runs // plan.chunk) + len(plan.groups) - 1
+            yield list(range(first, first + most))
+
+
+def _wait(processes: Iterable[int]) -> None:
+    while any(map(_runs, processes)):
+        time.sleep(0.1)
 
 
 def _runs(process: int) -> bool:

@@ -43,8 +43,12 @@ class Session:
         watchers: Sequence[Curves] = (),
         numbers: Sequence[int] | None = None,
     ):
-        """Look at what is stored. `numbers`: those of the chunks that are to be trained; all by default."""
-        self.chosen = [chunk for chunk in chunks(plan) if numbers is None or chunk.number in numbers]
+        """Look at what is stored. `numbers`: those of the chunks of a rung that are to be trained; by default all of
+        all rungs.
+
+        Raises:
+          InputError: what is stored is damaged, or the rung before is not finished.
+        """
         self.folder, self.plan, self.reporter, self.watchers = folder, plan, reporter, watchers
         self.watched = max((watcher.points for watcher in watchers), key=len, default=None)
         if self.watched is not None:  # at the last rung
@@ -60,6 +64,17 @@ class Session:
         self.finished = set(run_numbers(done, len(plan.points), plan.config.seeds).tolist())
         if self.finished and not 0 <= min(self.finished) <= max(self.finished) < most:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
+        self.scores = np.zeros((most // plan.config.seeds, 3))
+        """Of each point the number of runs that this session has finished, and the sums of their success and return."""
+        self.rung, self.before, self.pace = 0, 0, Pace(most, len(plan.groups))
+        """The present rung, the number of runs of the rungs before, and the pace of its runs."""
+        self.rungs = 1 if numbers is not None else len(plan.rungs)
+        """The number of rungs that train, from the present one on."""
+        self.chosen = chunks(plan)
+        if numbers is not None:
+            while self.rung < min(numbers, default=0) // plan.num_runs:
+                self.chosen = chunks(plan, self._go_on())
+            self.chosen = [chunk for chunk in self.chosen if chunk.number in numbers]
         mine = range(most) if numbers is None else (run for chunk in self.chosen for run in chunk.runs)
         waiting = set(mine) - self.finished
         self.interrupted: list[tuple[str, Arrays]] = []
@@ -83,11 +98,7 @@ class Session:
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
         self.made_by = compute.made_by()
         self.compile_s = 0.0
-        self.scores = np.zeros((most // plan.config.seeds, 3))
-        """Of each point the number of runs that this session has finished, and the sums of their success and return."""
         self.best: tuple[float, float] | None = None
-        self.rung, self.before, self.pace = 0, 0, Pace(most, len(plan.groups))
-        """The present rung, the number of runs of the rungs before, and the pace of its runs."""
         self.tables_are_old = True
 
     def train(self, engine: Engine) -> None:
@@ -97,15 +108,25 @@ class Session:
           InputError: it cannot train some of it.
         """
         engine.train(self.chosen, self)
-        for _ in self.plan.rungs[1:]:
+        for _ in range(1, self.rungs):
             engine.train(chunks(self.plan, self._go_on()), self)
 
     def _go_on(self) -> np.ndarray:
-        """Begin the next rung; its points, as in `Group.points`: the best of the rung before, which is stored."""
+        """Begin the next rung; its points, as in `Group.points`: the best of the rung before, which is stored.
+
+        Raises:
+          InputError: the rung before is not finished.
+        """
         plan, every = self.plan, len(self.plan.points)
         arrays = all_runs(self.folder.path, ("point", "seed", "curve.", "final."), self.folder.digest)
         arrays = {name: array[arrays["rung"] == self.rung] for name, array in arrays.items()}
-        self.before += plan.rungs[self.rung].points * plan.config.seeds
+        due = plan.rungs[self.rung].points * plan.config.seeds
+        if missing := due - len(arrays.get("seed", ())):
+            raise InputError(
+                f"{self.folder.path}: {missing:,} of {due:,} runs of rung {self.rung + 1} are not finished, and their "
+                "results decide which points train next; the same command with resume=True trains them."
+            )
+        self.before += due
         self.rung, self.pace = self.rung + 1, Pace(len(self.scores) * plan.config.seeds, len(plan.groups))
         rung = plan.rungs[self.rung]
         best = ranked((), {"point": arrays["point"]} | scores(arrays), plan.config.episodes is not None)[: rung.points]

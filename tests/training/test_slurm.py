@@ -25,6 +25,7 @@ except ImportError:
     submitit = None
 
 ARRAY = CONFIG | LONG | {"seeds": 6, "chunk": 6}
+HALVING = ARRAY | {"sweep": CONFIG["sweep"] | {"mode": "halving", "eta": 2, "rungs": 2}}
 
 
 @pytest.fixture(scope="module")
@@ -33,19 +34,35 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.skipif(submitit is None, reason="needs submitit")
-def test_an_array_trains_the_bits_of_this_process(whole, tmp_path, monkeypatch, said):
+def test_an_array_for_each_rung_trains_the_bits_of_this_process(tmp_path, monkeypatch, said):
     monkeypatch.setenv("JAX_NUM_CPU_DEVICES", "1")
     monkeypatch.chdir(tmp_path)
-    options = [word for option in ("cluster=local", "jobs=2") for word in ("--slurm", option)]
-    code, out, err = said("sweep", write_config(tmp_path, **ARRAY), *options)
-    run = Path("runs/small")
-    assert code == 0 and out.startswith("2 jobs (") and f"what they print is in {run / 'slurm'}" in out, err
-    for pickle in run.glob("slurm/*_submitted.pkl"):
-        os.waitpid(int(pickle.name.partition("_")[0]), 0)
-    logs = "".join(path.read_text() for path in run.glob("slurm/*log*"))
-    assert logs.count("Job completed successfully") == 3, logs
+    whole = sweep(HALVING, tmp_path / "whole").path
+    run = submitted(write_config(tmp_path, **HALVING), 2, said)
     assert_same_tables(run, whole)
     assert look_at(run).state == "finished" and (run / "figures").is_dir()
+
+
+def test_a_rung_waits_for_the_runs_that_decide_which_points_train(tmp_path):
+    run, plan = tmp_path / "run", make_plan(parse(HALVING))
+    RunFolder.create(run, plan.resolved()).close()
+    for trained in ([], [0]):
+        train_chunks(run, trained)
+        with pytest.raises(InputError, match=r"run: \d+ of 36 runs of rung 1 are not finished, and their results"):
+            train_chunks(run, [plan.num_runs])
+
+
+def submitted(config, jobs, said):
+    """Submit a sweep as arrays of local jobs, wait for them, and return its run folder."""
+    code, out, err = said("sweep", config, "--slurm", "cluster=local", "--slurm", f"jobs={jobs}")
+    run = Path("runs/small")
+    assert code == 0 and "jobs (" in out and f"what they print is in {run / 'slurm'}" in out, err
+    pickles = [*run.glob("slurm/*_submitted.pkl")]
+    for pickle in pickles:
+        os.waitpid(int(pickle.name.partition("_")[0]), 0)
+    logs = "".join(path.read_text() for path in run.glob("slurm/*log*"))
+    assert logs.count("Job completed successfully") == len(pickles), logs
+    return run
 
 
 @pytest.mark.skipif(submitit is None, reason="needs submitit")
@@ -109,9 +126,6 @@ def test_what_cannot_be_submitted_leaves_no_folder(tmp_path, monkeypatch):
     }.items():
         with pytest.raises(InputError, match=f"^--slurm.*{words}"):
             submit_sweep(config, None, [], False, [], ["cluster=local", *given.split()])
-    halving = write_config(tmp_path, sweep=CONFIG["sweep"] | {"mode": "halving", "eta": 2, "rungs": 2})
-    with pytest.raises(InputError, match=r"^--slurm: in mode halving .*small\.yaml, on several machines add --ray\.$"):
-        submit_sweep(halving, None, [], False, [], ["cluster=local"])
     with pytest.raises(InputError, match="unknown tracker 'wand'"):
         submit_sweep(config, None, [], False, ["wand"], ["cluster=local"])
     assert not list(tmp_path.rglob("runs/*"))
