@@ -34,8 +34,7 @@ def bench(
         compare_benches(chosen[1:])
         return
     if odd := [name for name in chosen if name not in (*BENCHES, "all")]:
-        there = (*BENCHES, "all", "compare")
-        raise InputError(f"bench: unknown benchmark {odd[0]!r}; {known(odd[0], there)}.")
+        raise InputError(f"bench: unknown benchmark {odd[0]!r}; {known(odd[0], (*BENCHES, 'all', 'compare'))}.")
     if json is not None:
         check_folder(json, "--json")
     command = " ".join(["humanoid-mjx bench", *chosen])
