@@ -134,6 +134,19 @@ def speed_training() -> str:
     return table(" | ".join(("decisions a second", *machine_names())), zip(TRAININGS, *columns, strict=True))
 
 
+def speed_startup() -> str:
+    """Return how soon a sweep trains, by the clock, with nothing compiled before it and the second time."""
+    columns = [
+        {row["subject"]: row["value"] for row in found["records"] if row["unit"] == "s to training"}
+        for found in speed_records()
+    ]
+    rows = []
+    for config in ("joint1", "leg_reach", "walk_cpu", "walk"):
+        cells = [[found.get(f"{config} {kind}") for kind in ("cold", "warm")] for found in columns]
+        rows.append((f"`{config}`", *(" then ".join(rounded(x) for x in times if x is not None) for times in cells)))
+    return table(" | ".join(("seconds to training", *machine_names())), rows)
+
+
 def speed_scenes() -> str:
     """Return the contacts and solver iterations of the scenes on the ground."""
     rows, names = [], {"lower_body": "the lower body", "dog": "the dog"}
@@ -206,7 +219,7 @@ def learners() -> str:
             steps, end = (cpu[of, unit]["by_seed"] for unit in ("steps to 95 %", "success at the end"))
             steps = [math.inf if x is None else x for x in steps]
             interval = " to ".join(rounded(x, 3) for x in estimate(np.array(end), 0.0, 1.0)[1:])
-            cells = [spread(steps), spread(end, 3), interval]
+            cells = [spread(steps).replace("inf", "never"), spread(end, 3), interval]
         rates = (found.get((of, "episodes/s"), {}).get("value") for found in (cpu, gpu))
         rows.append((f"`{name}`", *cells, *("not measured" if x is None else rounded(x) for x in rates)))
     head = "learner | steps to 95 % success | success at the end | 95 % interval of its median"
@@ -584,6 +597,7 @@ TABLES = {
         speed,
         speed_machines,
         speed_scenes,
+        speed_startup,
         speed_training,
         stand,
         learners,
