@@ -13,7 +13,6 @@ median of its repeats. Stop everything else first: shared cores give no timing.
 import argparse
 import json
 import os
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -327,7 +326,9 @@ def main() -> None:
     asked = parser.parse_args()
     if odd := set(asked.names) - set(BENCHES):
         parser.error(f"unknown benchmark {odd.pop()!r}; choose from {', '.join(BENCHES)}")
-    command = " ".join(["python benchmarks/publish.py", *sys.argv[1:]])
+    limits = {"--limit": asked.limit, "--within": asked.within}
+    given = (f"{name} {value:g}" for name, value in limits.items() if value is not None)
+    command = " ".join(["python benchmarks/publish.py", *asked.names, *given])
     publish(asked.names, asked.out, command, asked.commit, asked.limit, asked.within)
 
 

@@ -215,8 +215,9 @@ def learners() -> str:
     rows = []
     for name, of in (("linear_q", "leg_reach_linear"), ("deep_q", "leg_reach"), ("brax_ppo", "leg_reach_ppo")):
         cells = ["not measured"] * 3
-        if (of, "steps to 95 %") in cpu:
-            steps, end = (cpu[of, unit]["by_seed"] for unit in ("steps to 95 %", "success at the end"))
+        both = [found for found in (cpu, gpu) if (of, "steps to 95 %") in found]
+        if both:
+            steps, end = (both[0][of, unit]["by_seed"] for unit in ("steps to 95 %", "success at the end"))
             steps = [math.inf if x is None else x for x in steps]
             interval = " to ".join(rounded(x, 3) for x in estimate(np.array(end), 0.0, 1.0)[1:])
             cells = [spread(steps).replace("inf", "never"), spread(end, 3), interval]
