@@ -1,22 +1,21 @@
-"""Steps a second of the lower body on the ground, a servo asked at every step.
+# pyright: reportAttributeAccessIssue=false
+"""Robots on the ground, a servo asked at every step: their states, and programs that time a physics.
 
-The torso is free, the feet touch the ground, and the servo of the task `stand` drives the joints at its time step of
-4 ms. Calm bodies stand in the task's posture: the contacts of all four corners of both feet are solved in every step.
-Those that end in `moving` are thrown about as in a training, and are the same ones for every subject (`visited`).
-
-    tree ground      this package's `Physics` written out as a tree, float32, its solver run to the exact minimum
-
-`opponents.py` adds the other physics.
+The torso is free, and the servo of the task `stand` drives the joints at its time step of 4 ms. Robots that stand hold
+the task's posture. Those that move are thrown about as in a training: each has been pushed and has followed random
+set-points, from none to `MOVES` of them, and mostly lies on the ground; native MuJoCo makes these states.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
-from timing import joined, on_all_devices
+from other_calls import native_rollout, with_servo
+from timing import on_all_devices
 
 from humanoid_mjx import compute
 from humanoid_mjx.control import at_rest
@@ -25,108 +24,99 @@ from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.legged import Stand
 from humanoid_mjx.tasks.legged.body import START_SPREAD
 
-REPEATS = 3
-
-BLOCK = {"cpu": 128, "gpu": 32_768}
-"""Bodies at once on a device."""
-
-MOVING_BLOCK = {"cpu": 1024, "gpu": 32_768}
-"""The same for the tree where bodies are thrown about. Some need more Newton steps than others: the more bodies a call
-has, the fuller are the blocks into which the solver gathers those."""
-
-COMPUTED_TORQUE = "mjx-jax computed torque"
+BLOCK = {"cpu": 1024, "gpu": 32_768}
+"""Robots at once on a device. Some need more Newton steps than others: the more robots a call of the tree has, the
+fuller are the blocks into which its solver gathers those."""
 
 MOVES, MOVE_STEPS = 10, 50
-"""Set-points that a body that is thrown about has had at most, and time steps of each, 0.2 s."""
+"""Set-points that a robot that is thrown about has had at most, and time steps of each, 0.2 s."""
 
 DISTINCT = 1024
-"""The most bodies that are thrown about one by one; more start where these do, to set-points of their own."""
+"""The most robots that are thrown about one by one; more start where these do, to set-points of their own."""
 
 OFFSET = 0.35
 """Largest distance of a random set-point from the posture, rad: that of a choice of `walk`, 20 degrees."""
 
 THROWN = (0.3, 1.5)
-"""Standard deviations of the torso's velocity, m/s and rad/s, before a body's first set-point: a push."""
+"""Standard deviations of the torso's velocity, m/s and rad/s, before a robot's first set-point: a push."""
 
-
-class Setting(NamedTuple):
-    """Size of a benchmark: the numbers of bodies, and steps in a call for each subject."""
-
-    batches: Sequence[int]
-    steps: Mapping[str, int]
-
-
-SETTINGS = {
-    "cpu": Setting((16, 256, 1024, 4096), {"tree": 50, "mjx-jax": 10, COMPUTED_TORQUE: 10, "mujoco": 50}),
-    "gpu": Setting(
-        (256, 4096, 32_768, 131_072), {"tree": 50, "mjx-jax": 50, COMPUTED_TORQUE: 50, "mjx-warp": 50, "mujoco": 100}
-    ),
-}
-
+COUNTED, COUNTED_STEPS = 256, 20
+"""Robots and time steps over which `contacts` counts."""
 
 States = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Positions, velocities and set-points, by body."""
+"""Positions, velocities and set-points, by robot."""
 
 
-def states_of(batch: int, moving: bool = False) -> States:
-    """Bodies that stand in nearly the posture and are to hold it, or those of `visited`."""
+@cache
+def native_model(robot: str) -> Any:
+    """Return MuJoCo's model of a robot with the servo of `stand` as its own, its solver run to convergence."""
+    task: Any = make_task("stand", robot=robot, physics="mujoco")
+    servo = task.control.of(task.robot)
+    gains = np.broadcast_arrays(servo.stiffness, servo.damping, np.zeros(len(task.posture)))[:2]
+    return with_servo(task.simulator.model, np.stack(gains, axis=-1))
+
+
+def states_of(batch: int, moving: bool = False, robot: str = "lower_body") -> States:
+    """Return robots that stand in nearly the posture and are to hold it, or such as are thrown about."""
     if moving:
-        return visited(batch)
-    robot = make_task("stand").robot
-    spread = START_SPREAD * np.random.default_rng(0).uniform(-1.0, 1.0, (batch, len(robot.posture)))
-    torso = np.tile([0.0, 0.0, robot.start_height, 1.0, 0.0, 0.0, 0.0], (batch, 1))
-    qpos = np.concatenate([torso, robot.posture + spread], axis=1).astype(np.float32)
-    setpoint = np.tile(robot.posture, (batch, 1)).astype(np.float32)
+        return _thrown(batch, robot)
+    made: Any = make_task("stand", robot=robot).robot
+    spread = START_SPREAD * np.random.default_rng(0).uniform(-1.0, 1.0, (batch, len(made.posture)))
+    torso = np.tile([0.0, 0.0, made.start_height, 1.0, 0.0, 0.0, 0.0], (batch, 1))
+    qpos = np.concatenate([torso, made.posture + spread], axis=1).astype(np.float32)
+    setpoint = np.tile(made.posture, (batch, 1)).astype(np.float32)
     return qpos, np.zeros((batch, qpos.shape[1] - 1), np.float32), setpoint
 
 
 @cache
-def visited(batch: int) -> States:
-    """Bodies as a training throws them about: from the start of an episode, standing, to 2 s later, mostly fallen.
-
-    Each has been pushed and has followed random set-points, from none to `MOVES` of them, and gets another one.
-    """
-    random = np.random.default_rng(1)
-    qpos, qvel, posture = states_of(min(batch, DISTINCT))
+def _thrown(batch: int, robot: str) -> States:
+    random, model = np.random.default_rng(1), native_model(robot)
+    qpos, qvel, posture = states_of(min(batch, DISTINCT), robot=robot)
     qvel[:, :6] = random.normal(0.0, np.repeat(THROWN, 3), (len(qvel), 6))
     ages = random.integers(0, MOVES, len(qpos), endpoint=True)[:, None]
 
-    def setpoints(bodies: int) -> np.ndarray:
-        return (posture[:1] + random.uniform(-OFFSET, OFFSET, (bodies, posture.shape[1]))).astype(np.float32)
+    def setpoints(count: int) -> np.ndarray:
+        return (posture[:1] + random.uniform(-OFFSET, OFFSET, (count, posture.shape[1]))).astype(np.float32)
 
     for move in range(MOVES):
-        after = joined(compiled("tree", qpos, qvel, setpoints(len(qpos)), MOVE_STEPS)())
-        # A body that the physics gives up stays where it was.
-        qpos, qvel = (
-            np.where((move < ages) & np.isfinite(new), new, old) for new, old in zip(after, (qpos, qvel), strict=True)
-        )
+        after = native_rollout(model, qpos, qvel, MOVE_STEPS, setpoints(len(qpos)))().astype(np.float32)
+        moved = (move < ages) & np.isfinite(after).all(axis=1, keepdims=True)
+        qpos, qvel = np.where(moved, after[:, : model.nq], qpos), np.where(moved, after[:, model.nq :], qvel)
     return np.resize(qpos, (batch, qpos.shape[1])), np.resize(qvel, (batch, qvel.shape[1])), setpoints(batch)
 
 
-def compiled(
-    subject: str,
-    qpos: np.ndarray,
-    qvel: np.ndarray,
-    setpoint: np.ndarray,
-    steps: int,
-    blocks: Mapping[str, int] = BLOCK,
-) -> Callable[[], Any]:
-    """Physics in a jax program, by the name of its subject: positions and velocities after so many steps."""
-    devices, batch = jax.local_devices(), len(qpos)
-    block = blocks.get(devices[0].platform, batch)
+def contacts(robot: str) -> dict[str, float]:
+    """Return the contacts of a robot that is thrown about, and iterations of native MuJoCo's solver, by time step."""
+    model, found = native_model(robot), []
+    data = mujoco.MjData(model)
+    for data.qpos, data.qvel, data.ctrl in zip(*states_of(COUNTED, True, robot), strict=True):
+        data.qacc_warmstart = 0.0
+        for _ in range(COUNTED_STEPS):
+            mujoco.mj_step(model, data)
+            found.append((data.ncon, data.solver_niter.sum()))
+    mean, most = np.mean(found, axis=0), np.max(found, axis=0)
+    names = "contacts", "solver iterations"
+    pairs = zip(names, mean, most, strict=True)
+    return {name: value for n, m, x in pairs for name, value in ((n, round(float(m), 2)), (f"most {n}", float(x)))}
+
+
+def compiled(subject: str, states: States, steps: int, robot: str = "lower_body", again: int = 1) -> Callable[[], Any]:
+    """Return a call of a physics: positions and velocities of all robots after so many steps, `again` times."""
+    devices, batch = jax.local_devices(), len(states[0])
+    block = BLOCK.get(devices[0].platform, batch)
     at_once = -(-batch // (max(1, batch // (block * len(devices))) * len(devices)))
-    return on_all_devices(_program(subject, steps, at_once), (qpos, qvel, setpoint), block)
+    return on_all_devices(_program(subject, robot, steps, at_once), states, block, again)
 
 
 @cache
-def _program(subject: str, steps: int, worlds: int) -> Callable[..., Any]:
-    physics = subject.partition(" ")[0]
-    task: Stand = make_task("stand", control="grounded") if subject == COMPUTED_TORQUE else make_task("stand")
-    room = {"worlds": worlds} if physics == "mjx-warp" else {}
-    simulator = make_physics(physics, robot=task.robot, timestep=task.timestep, **room)
+def _program(subject: str, robot: str, steps: int, worlds: int) -> Callable[..., Any]:
+    task: Stand = make_task("stand", robot=robot)
+    room = {"worlds": worlds} if subject == "mjx-warp" else {}
+    simulator = make_physics(subject, robot=task.robot, timestep=task.timestep, **room)
+    law: Any = task.control
 
     def simulate(qpos: jax.Array, qvel: jax.Array, setpoint: jax.Array) -> tuple[jax.Array, ...]:
-        controller = task.control.follow(at_rest(setpoint))
+        controller = law.of(task.robot).follow(at_rest(setpoint))
         world = simulator.run(simulator.start(qpos, qvel), controller, steps)
         return tuple(jnp.where(world.diverged, jnp.nan, part) for part in (world.qpos, world.qvel))
 

@@ -142,7 +142,7 @@ def scan() -> Pair:
 
 def chain() -> Pair:
     """The chain and native MuJoCo, as many legs each; the chain, being quicker, makes five times the steps."""
-    return _warm(Pair(physics.chain(1024, 500, "none"), opponents.mujoco(1024, 100), work=5.0, repeats=15))
+    return _warm(Pair(physics.chain(1024, 500, controlled=False), opponents.mujoco(1024, 100), work=5.0, repeats=15))
 
 
 def start_up() -> Pair:
@@ -180,8 +180,7 @@ def compiling() -> Pair:
 def tree(moving: bool = False) -> Pair:
     """As many bodies and steps of both, from the same states to the same set-points under the same servo."""
     steps, states = 50, ground.states_of(2048, moving)
-    ours = ground.compiled("tree", *states, steps, ground.MOVING_BLOCK)
-    return _warm(Pair(ours, opponents.native(*states, steps)))
+    return _warm(Pair(ground.compiled("tree", states, steps), opponents.native(states, steps)))
 
 
 def training() -> Pair:
@@ -196,7 +195,7 @@ def training() -> Pair:
     qpos, qvel = (np.asarray(part, np.float64) for part in (world.qpos, world.qvel))
     setpoint = task.posture + np.random.default_rng(1).uniform(-0.2, 0.2, (len(qpos), qvel.shape[1] - 6))
     steps = learner.rollout * task.simulator.substeps(task.period)
-    return _warm(Pair(partial(update, carry), opponents.native(qpos, qvel, setpoint, time_steps), steps / time_steps))
+    return _warm(Pair(partial(update, carry), opponents.native((qpos, qvel, setpoint), time_steps), steps / time_steps))
 
 
 def long_program(parts: int) -> Callable[[], Any]:

@@ -1,30 +1,14 @@
-"""Calls that `bench` times beside the package: MuJoCo's own rollout, and programs in another process."""
+"""MuJoCo's own rollout, and its model of a robot under a servo."""
 
-import itertools
-import multiprocessing
-import os
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from copy import copy
-from functools import cache
 from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
-from timing import Subject
 
 from humanoid_mjx import compute
-
-
-def native_subject(
-    make: Callable[..., Callable[[], Any]], batch: int, most: int, steps: int, **options: Any
-) -> Subject:
-    """The subject `make(worlds, steps)` beside a batch of others, of at most so many worlds."""
-    worlds = min(batch, most)
-    beside = batch if worlds < batch else None
-    return Subject(make(worlds, steps), worlds * steps, worlds, device="cpu", beside=beside, **options)
 
 
 def native_rollout(
@@ -66,53 +50,3 @@ def with_servo(base: Any, gains: np.ndarray) -> Any:
     model.actuator_biastype[:] = mj.mjtBias.mjBIAS_AFFINE
     model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3] = gains[..., 0], -gains
     return model
-
-
-_numbers = itertools.count()
-_calls: dict[int, Callable[[], Any]] = {}
-"""The calls that the other process keeps, by number."""
-
-
-def with_room(make: Callable[..., Callable[[], Any]], *arguments: Any) -> Callable[[], Any]:
-    """The call `make(*arguments)` where MJX has room for its threads: elsewhere on a CPU, here on a GPU."""
-    return elsewhere(make, *arguments) if jax.default_backend() == "cpu" else make(*arguments)
-
-
-def elsewhere(make: Callable[..., Callable[[], Any]], *arguments: Any, plain: bool = False) -> Callable[[], Any]:
-    """The call `make(*arguments)`, made and kept in another process; it returns numpy arrays.
-
-    On a CPU, MJX needs more of XLA's threads than all else is fastest with. The process is a child of this program,
-    begun when it is first asked, and waits while others are timed.
-
-    Args:
-      plain: with XLA's default flags, without `compute.XLA_FLAGS`.
-    """
-    process, number = _process(plain), next(_numbers)
-    made = process.submit(_make, number, make, *arguments)
-
-    def call() -> Any:
-        made.result()
-        return process.submit(_call, number).result()
-
-    return call
-
-
-@cache
-def _process(plain: bool) -> ProcessPoolExecutor:
-    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_start, initargs=(plain,))
-    pool.submit(jax.device_count).result()
-    return pool
-
-
-def _start(plain: bool) -> None:
-    compute.start(mjx=True)
-    if plain:
-        os.environ["XLA_FLAGS"] = os.environ["XLA_FLAGS"].replace(compute.XLA_FLAGS, "")
-
-
-def _make(number: int, make: Callable[..., Callable[[], Any]], *arguments: Any) -> None:
-    _calls[number] = make(*arguments)
-
-
-def _call(number: int) -> Any:
-    return jax.device_get(_calls[number]())

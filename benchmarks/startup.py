@@ -35,9 +35,7 @@ from humanoid_mjx.config import load
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import resolved
 
-CONFIGS = ("joint1", "leg_reach", "stand")
-
-REPEATS = 3
+REPEATS = 2
 
 KEEPS_S = 20.0
 """Seconds in which a process that trains has stored what it compiled."""
@@ -52,7 +50,7 @@ class Start(NamedTuple):
 
 
 def run(
-    say: Callable[[str], None], configs: Sequence[str] = CONFIGS, overrides: Sequence[str] = (), repeats: int = REPEATS
+    say: Callable[[str], None], configs: Sequence[str], overrides: Sequence[str] = (), repeats: int = REPEATS
 ) -> list[Record]:
     """Start a sweep of every config so many times, cold and warm in turn."""
     records: list[Record] = []

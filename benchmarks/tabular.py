@@ -8,7 +8,7 @@ outcome of every episode added to one of 100 points of a learning curve.
                  on a CPU one program per core
     fused        the same in one kernel, as a sweep runs it
 
-`opponents.py` adds other ways to write it.
+`other_tables.py` adds other ways to write it.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,14 +28,13 @@ from humanoid_mjx.training.programs import TRAIN
 
 MOVES, CAP, POINTS, EPISODES = 23, 500, 100, 100_000
 DECAY, RATE, DISCOUNT, BONUS = 0.999, 0.5, 0.9, 100.0
-BATCHES = {"cpu": (1, 1024, 4096, 65_536), "gpu": (1, 256, 4096, 65_536, 1_048_576)}
 
 AT_ONCE = 2**24
 """Agents times steps in a call, as far as `STEPS` allows: starting a call of 5 ms takes two more."""
 
 STEPS = 1024, 8192
-"""The fewest and the most steps in a call; a kernel makes the most. A sweep makes as many as fit into a fifth of a
-second."""
+"""The fewest and the most steps in a call; a kernel on a GPU makes the most. A sweep makes as many as fit into a fifth
+of a second."""
 
 CPU_BLOCK = 1024
 """Agents whose state the cache of a core holds."""
@@ -55,16 +54,16 @@ def time_trainings(
     say: Callable[[str], None],
     batch: int,
     makers: Mapping[str, Callable[[np.ndarray, int], Made]],
-    kernels: tuple[str, ...] = ("fused",),
 ) -> list[Record]:
-    """Time trainings of `batch` agents in turn. Names that begin with one of `kernels` make the most steps a call."""
+    """Time trainings of `batch` agents in turn. On a GPU `fused` makes the most steps a call."""
     records: list[Record] = []
     epsilon = np.linspace(0.1, 0.9, batch, dtype=np.float32)
     least, most = STEPS
     made: dict[str, Made] = {}
     subjects: dict[str, Subject] = {}
     for name, make in makers.items():
-        steps = most if name.startswith(kernels) else min(max(AT_ONCE // batch, least), most)
+        at_once = name == "fused" and jax.default_backend() == "gpu"
+        steps = most if at_once else min(max(AT_ONCE // batch, least), most)
         made[name] = make(epsilon, steps)
         own = {"call": made[name].call, "work": batch * steps, "batch": batch}
         subjects[name] = Subject(**(own | dict(made[name].other)))
@@ -77,8 +76,8 @@ def time_trainings(
     return records
 
 
-def own_learner(moves: int = MOVES) -> TabularQ:
-    task = make_task("joint_reach", joint=1, states=moves + 1, action=115.0 / moves, max_episode_steps=CAP)
+def own_learner() -> TabularQ:
+    task = make_task("joint_reach", joint=1, states=MOVES + 1, action=115.0 / MOVES, max_episode_steps=CAP)
     values = {"epsilon_decay": DECAY, "learning_rate": RATE, "discount": DISCOUNT}
     return make_learner("tabular_q", task, episodes=EPISODES, record=POINTS, **values)
 
@@ -91,10 +90,10 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
     return _shared_out(learner, epsilon, steps, train, CPU_BLOCK if jax.default_backend() == "cpu" else None)
 
 
-def fused(epsilon: np.ndarray, steps: int, moves: int = MOVES) -> Made:
+def fused(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in one kernel."""
     by_kernel = jax.vmap(TRAIN, in_axes=(0, 0, None)) if jax.default_backend() == "cpu" else gpu_kernel.advance
-    return _shared_out(own_learner(moves), epsilon, steps, jax.jit(by_kernel))
+    return _shared_out(own_learner(), epsilon, steps, jax.jit(by_kernel))
 
 
 def _shared_out(

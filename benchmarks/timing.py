@@ -100,18 +100,16 @@ def time_in_turn(subjects: Mapping[str, Subject]) -> dict[str, Timing]:
 def time_rates(bench: str, subjects: Mapping[str, Subject], say: Callable[[str], None], of: str) -> list[Record]:
     """Time subjects in turn, and say the rate of each; `of` names what a batch is made of.
 
-    A subject's name ends where " with " begins.
-
     Raises:
       FloatingPointError: a simulation ran away, whose numbers may be fast.
     """
     records = []
     for key, timing in time_in_turn(subjects).items():
-        subject, name = subjects[key], key.partition(" with ")[0]
+        subject = subjects[key]
         if any(np.isfinite(leaf).mean() < SOUND for leaf in jax.tree.leaves(timing.result)):
             raise FloatingPointError(f"{key}: the simulation diverged.")
-        records.append(record(bench, name, subject, timing, subject.unit))
-        say(f"{name:30} {subject.batch:9,} {of}  {records[-1].value:10.3e} {subject.unit:23}"
+        records.append(record(bench, key, subject, timing, subject.unit))
+        say(f"{key:30} {subject.batch:9,} {of}  {records[-1].value:10.3e} {subject.unit:23}"
             f"  compiled in {timing.compile_s:4.1f} s")  # fmt: skip
     return records
 
@@ -153,25 +151,31 @@ BLOCK = {"cpu": 512, "gpu": 262_144}
 """Legs at once on a device: as many as its cache holds, of a core with all that a step works on."""
 
 
-def on_devices(program: Callable[..., Any], by_device: Sequence[Sequence[Sequence[Any]]]) -> Callable[[], Any]:
+def on_devices(
+    program: Callable[..., Any], by_device: Sequence[Sequence[Sequence[Any]]], again: int = 1
+) -> Callable[[], Any]:
     """A call of one jitted program on shares of the work: a thread for each device, one share after another.
 
     Args:
       by_device: for each device the arguments of each share.
+      again: how often a GPU runs all of it, without a wait between two programs.
 
     Returns:
       a call that gives, for each device, a list of what the program returns for each share.
     """
     threads = ThreadPoolExecutor(len(by_device))
+    wait = jax.block_until_ready if jax.default_backend() == "cpu" else lambda result: result
 
     def work(shares: Sequence[Sequence[Any]]) -> list[Any]:
-        return [jax.block_until_ready(program(*share)) for share in shares]
+        for _ in range(again):
+            results = [wait(program(*share)) for share in shares]
+        return jax.block_until_ready(results)
 
     return lambda: list(threads.map(work, by_device))
 
 
 def on_all_devices(
-    simulate: Callable[..., Any], state: Sequence[np.ndarray], block: int | None = None
+    simulate: Callable[..., Any], state: Sequence[np.ndarray], block: int | None = None, again: int = 1
 ) -> Callable[[], Any]:
     """A call that shares out the rows of `state` over all devices (`on_devices`), in blocks of about `block` rows."""
     batch = len(state[0])
@@ -179,7 +183,7 @@ def on_all_devices(
     blocks = max(1, batch // ((block or BLOCK.get(devices[0].platform, batch)) * len(devices)))
     shares = zip(*(np.array_split(array, len(devices) * blocks) for array in state), strict=True)
     placed = [jax.device_put(share, devices[i % len(devices)]) for i, share in enumerate(shares)]
-    return on_devices(simulate, [placed[i :: len(devices)] for i in range(len(devices))])
+    return on_devices(simulate, [placed[i :: len(devices)] for i in range(len(devices))], again)
 
 
 def joined(shares: Sequence[Sequence[Sequence[Any]]]) -> tuple[np.ndarray, ...]:

@@ -30,14 +30,12 @@ import jax
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 from jaxtyping import Float
-from shares import shares
 from timing import Record, spread
 
 from humanoid_mjx.config import load
 from humanoid_mjx.files import names
 from humanoid_mjx.kernels import cpu_kernel
 from humanoid_mjx.runs.statistics import estimate
-from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import programs
 from humanoid_mjx.training.sweep import Run, sweep
 
@@ -48,8 +46,11 @@ SEEDS = 5
 LEG = ("leg_reach", "leg_reach_linear", "leg_reach_ppo")
 CONFIGS = {"cpu": (*LEG, "walk_cpu"), "gpu": (*LEG, "stand", "stand_ppo")}
 
-BRIEF = {"walk_cpu": 2_000_000}
-"""Control steps of configs of which one seed trains alone and not to the end: the rate and the shares are measured."""
+BRIEF = {
+    "walk_cpu": ("seeds=1", "total_steps=1_000_000", "learner.evaluations=1"),
+    "walk": ("seeds=5", "total_steps=20_000_000", "learner.evaluations=1"),
+}
+"""Overrides of configs that do not train to the end: only their rate is measured."""
 
 
 class Measured(NamedTuple):
@@ -75,8 +76,7 @@ def run(
         if name not in names("configs", ".yaml"):
             say(f"{name}: does not ship")
             continue
-        brief = [f"total_steps={BRIEF[name]}", "seeds=1"] if name in BRIEF else [f"seeds={seeds}"]
-        config = load(name, [*brief, *overrides])
+        config = load(name, [*BRIEF.get(name, [f"seeds={seeds}"]), *overrides])
         learner = config.learner["name"]
         if learner == "brax_ppo" and find_spec("brax") is None:
             say(f"{name}: brax is not installed")
@@ -85,22 +85,16 @@ def run(
             trained = sweep(config, Path(folder) / "run")
             compile_s = loads((trained.path / "provenance.json").read_text())["compile_s"]
             found, envs = measure(trained), environments(trained.config.learner)
-            parts = shares(make_plan(config).groups[0].learner())
-        subject = f"{learner} {config.task['name']}"
         device = jax.devices()[0].device_kind
         common = {"device": device, "batch": envs, "compile_s": compile_s, "repeats": config.seeds}
         records += [
-            Record(bench="training", subject=subject, **common, **figure)
+            Record(bench="training", subject=name, **common, **figure)
             for figure in figures(found)[: 1 if name in BRIEF else None]
             if np.isfinite(figure["value"])
         ]
-        records += [
-            Record("training", subject, unit=f"share of {name}", value=x, **common) for name, x in parts.items()
-        ]
         success = "" if name in BRIEF else f"  {in_words(found)}"
-        say(f"{subject:20} {envs:7,} envs  {found.steps_per_s:10.3e} steps/s  {found.episodes_per_s:10.3e} episodes/s"
+        say(f"{name:20} {envs:7,} envs  {found.steps_per_s:10.3e} steps/s  {found.episodes_per_s:10.3e} episodes/s"
             f"{success}  compiled in {compile_s:4.1f} s")  # fmt: skip
-        say(f"{subject:20} of an update {', '.join(f'{share:.0%} is {part}' for part, share in parts.items())}")
     return records
 
 

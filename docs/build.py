@@ -2,7 +2,8 @@
 
 python docs/build.py          # into build/site; fails at a link that leads nowhere
 python docs/build.py serve    # on this machine, at the address that it prints
-python docs/build.py tables   # only writes the figures of README.md and docs/*.md, as the two above do first
+python docs/build.py tables   # only writes the figures of README.md and docs/*.md, as the two above do first, and draws
+                              # docs/throughput.png
 """
 
 import json
@@ -20,6 +21,7 @@ sys.path.append(str(ROOT / "experiments"))  # tables of verdicts are made by wha
 
 import stale  # noqa: E402, F401
 import tables  # noqa: E402
+import throughput  # noqa: E402
 import walking_tables  # noqa: E402
 
 PACKAGE = ROOT / "humanoid_mjx"
@@ -248,6 +250,7 @@ def main() -> None:
     """Write the figures; then build the site, or with `serve` show it while it is written."""
     write_tables()
     if sys.argv[1:] == ["tables"]:
+        throughput.draw(DOCS / "throughput.png")
         return
     stage(ROOT / "build" / "docs")
     arguments = sys.argv[1:] or ["build", "--clean", "--strict"]

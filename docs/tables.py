@@ -46,99 +46,143 @@ def table(head: str, rows: Iterable[Iterable[str]]) -> str:
     return "\n".join([f"| {head} |", "|---" * (head.count(" | ") + 1) + "|", *lines])
 
 
-BOTH = "control+physics steps/s"
-SPEED = (
-    ("**legs in the air, computed torque**", "1,024 legs", "262,144 legs"),
-    ("`chain`", "chain", BOTH),
-    ("`mjx-jax`", "mjx-jax", BOTH),
-    ("`mjx-jax`, without our XLA flags", "mjx-jax plain", BOTH),
-    ("native MuJoCo on all cores, no controller", "mujoco", "physics steps/s"),
-    ("**the lower body on the ground, thrown about as in a training**", "1,024 bodies", "32,768 bodies"),
-    ("`tree`", "tree ground moving", BOTH),
-    ("`mjx-jax`", "mjx-jax ground moving", BOTH),
-    ("native MuJoCo on all cores", "mujoco ground moving", BOTH),
-    ("**the lower body on the ground, standing under a servo**", "1,024 bodies", "32,768 bodies"),
-    ("`tree`", "tree ground", BOTH),
-    ("`mjx-jax`", "mjx-jax ground", BOTH),
-    ("`mjx-jax`, computed torque within the contacts", "mjx-jax computed torque ground", BOTH),
-    ("`mjx-warp`", "mjx-warp ground", BOTH),
-    ("native MuJoCo on all cores", "mujoco ground", BOTH),
-    ("**tabular Q-learning of joint 1**", "65,536 agents", "1,048,576 agents"),
-    ("`scan`, a loop of XLA", "scan", "steps/s"),
-    ("`fused`, one kernel, which a sweep runs", "fused", "steps/s"),
-    ("`cuda`, a kernel written by hand with CuPy", "cuda", "steps/s"),
-    ("`naive_scan`, `jax.random` in every step", "naive_scan", "steps/s"),
-    ("`numba`, all cores", "numba", "steps/s"),
-    ("**training of `posture_switch`, episodes a second**", "", ""),
-    ("`chain`", "chain posture_switch", "episodes/s"),
-    ("`mjx-jax`", "mjx-jax posture_switch", "episodes/s"),
+GROUND = {
+    "`tree`": "tree",
+    "`mjx-jax`, at most four solver iterations": "mjx-jax",
+    "`mjx-warp`": "mjx-warp",
+    "native MuJoCo on all cores": "mujoco",
+}
+SPEED: tuple[tuple[str, str, tuple[int, int], dict[str, str]], ...] = (
+    ("the lower body, thrown about", "robots", (4096, 32_768), {w: f"lower_body {name}" for w, name in GROUND.items()}),
+    ("a dog, thrown about", "robots", (4096, 32_768), {words: f"dog {name}" for words, name in GROUND.items()}),
+    (
+        "legs in the air, computed torque",
+        "legs",
+        (1024, 262_144),
+        {
+            "`chain`": "legs chain",
+            "`mjx-jax`": "legs mjx-jax",
+            "`mjx-jax`, without our XLA flags": "legs mjx-jax plain",
+            "native MuJoCo on all cores, no controller": "legs mujoco",
+        },
+    ),
+    (
+        "tabular Q-learning of joint 1",
+        "agents",
+        (65_536, 1_048_576),
+        {
+            "`fused`, one kernel, which a sweep runs": "fused",
+            "`scan`, a loop of XLA": "scan",
+            "`naive_scan`, `jax.random` in every step": "naive_scan",
+            "`numba`, all cores": "numba",
+        },
+    ),
+    (
+        "training of `posture_switch`, episodes a second",
+        "",
+        (0, 0),
+        {"`chain`": "posture_switch chain", "`mjx-jax`": "posture_switch mjx-jax"},
+    ),
 )
-"""Groups of subjects. A row in bold begins a group and has its sizes on both machines. Each other row has a subject's
-name and unit in the record. The first subject of a group is the one that the others are compared with."""
+"""Groups of subjects: what a batch counts, the batch on a CPU and on a GPU, 0 where there is none, and the words for
+each subject of the records. The first subject of a group is the one that the others are compared with."""
+
+TRAININGS = {
+    "`walk_cpu`, one seed": "walk_cpu",
+    "`walk`, five seeds": "walk",
+    "`leg_reach_linear`, five seeds": "leg_reach_linear",
+    "`leg_reach`, five seeds": "leg_reach",
+    "`leg_reach_ppo`, five seeds": "leg_reach_ppo",
+}
+
+
+def speed_records() -> list[Any]:
+    """Return the records of `benchmarks/publish.py` on a CPU and on a GPU; of a machine without one its empty lists."""
+    names = "speed_cpu", "speed_gpu"
+    nothing = {"records": [], "failed": [], "scenes": {}}
+    return [record(name) if (BENCH / f"{name}.json").is_file() else nothing for name in names]
+
+
+def speed_machines() -> str:
+    """Return which machines were measured, when the code was at which commit, by which command."""
+    rows = []
+    for heading, found in zip(machine_names(), speed_records(), strict=True):
+        if machine := found.get("machine"):
+            cpu = f"{machine['cpu']}, {machine['cpu_count']} cores"
+            device = "" if machine["backend"] == "cpu" else f"{machine['device']}; "
+            where = f"[{heading}](bench/speed_{machine['backend']}.json)"
+            jax, failed = found["versions"]["jax"], str(len(found["failed"]))
+            rows.append((where, device + cpu, jax, f"`{found['commit'][:12]}`", f"`{found['command']}`", failed))
+        else:
+            rows.append((heading, "not measured yet", "", "", "", ""))
+    return table("record | machine | jax | commit | command | rows without a figure", rows)
 
 
 def speed() -> str:
-    """Return the rates of `bench tabular physics` on both machines."""
-    machines = [record(name)["records"] for name in ("cpu_2_cores", "h200")]
-    rows, sizes, first = [], ("", ""), None
-    for words, *cells in SPEED:
-        if words.startswith("**"):
-            sizes, first = cells, None
-        else:
-            first = first or cells
-            cells = [_rate(found, size, first, cells) for found, size in zip(machines, sizes, strict=True)]
-        rows.append((words, *cells))
-    return table("steps a second | 2 CPU cores | one H200", rows)
+    """Return the rates of both machines, each beside the first of its group."""
+    machines, rows = speed_records(), []
+    for heading, counted, batches, subjects in SPEED:
+        rows.append((f"**{heading}**", *(f"{batch:,} {counted}" * bool(batch) for batch in batches)))
+        columns = [_rates(*each, subjects) for each in zip(machines, batches, strict=True)]
+        rows += zip(subjects, *columns, strict=True)
+    return table(" | ".join(("steps a second", *machine_names())), rows)
 
 
-def tables_on_cpu() -> str:
-    """Return the rates of `bench tabular` on two CPU cores by the number of agents."""
-    found = {
-        (row["batch"], row["subject"]): row["value"]
-        for row in record("cpu_2_cores_tables")["records"]
-        if row["unit"] == "steps/s"
-    }
-    names = "fused", "scan", "naive_scan", "numba", "python"
-    rows = [
-        (f"{batch:,}", *(rounded(found[batch, name]) if (batch, name) in found else "" for name in names))
-        for batch in sorted({batch for batch, _ in found})
+def speed_training() -> str:
+    """Return the decisions a second of trainings on both machines."""
+    columns = [[cell.partition(" (")[0] for cell in _rates(found, 0, TRAININGS)] for found in speed_records()]
+    return table(" | ".join(("decisions a second", *machine_names())), zip(TRAININGS, *columns, strict=True))
+
+
+def speed_startup() -> str:
+    """Return how soon a sweep trains, by the clock, with nothing compiled before it and the second time."""
+    columns = [
+        {row["subject"]: row["value"] for row in found["records"] if row["unit"] == "s to training"}
+        for found in speed_records()
     ]
-    return table("agents | " + " | ".join(f"`{name}`" for name in names), rows)
+    rows = []
+    for config in ("joint1", "leg_reach", "walk_cpu", "walk"):
+        cells = [[found.get(f"{config} {kind}") for kind in ("cold", "warm")] for found in columns]
+        rows.append((f"`{config}`", *(" then ".join(rounded(x) for x in times if x is not None) for times in cells)))
+    return table(" | ".join(("seconds to training", *machine_names())), rows)
 
 
-def _rate(found: list[dict[str, Any]], size: str, first: list[str], subject: list[str]) -> str:
-    """Return a subject's rate, and how many times slower or faster it is than the first of its group.
-
-    Native MuJoCo has a size of its own; its row follows those of the size that it is compared with.
-    """
-    batch = int(size.split()[0].replace(",", "")) if size else None
-    fits = [row for row in found if batch in (None, row["batch"]) or "mujoco" in row["subject"]]
-    names = [[row["subject"], row["unit"]] for row in fits]
-    if first not in names:
-        return ""
-    start = names.index(first)
-    if subject not in names[start:]:
-        return ""
-    value = fits[names.index(subject, start)]["value"]
-    times = value / fits[start]["value"]
-    apart, sense = rounded(max(times, 1 / times)), "faster" if times > 1 else "slower"
-    return rounded(value) + (f" ({apart} times {sense})" if apart != "1.0" else "")
+def speed_scenes() -> str:
+    """Return the contacts and solver iterations of the scenes on the ground."""
+    rows, names = [], {"lower_body": "the lower body", "dog": "the dog"}
+    scenes = {name: scene for found in reversed(speed_records()) for name, scene in found["scenes"].items()}
+    for name, scene in scenes.items():
+        cells = (f"{rounded(scene[n])}, at most {scene[f'most {n}']:.0f}" for n in ("contacts", "solver iterations"))
+        rows.append((names[name], *cells))
+    return table("scene | contacts of a robot | iterations of MuJoCo's solver a step", rows)
 
 
-def in_turn() -> str:
-    """Return ratios of rates of programs that ran in turn on one machine."""
-    devices, kernel = record("cpu_2_cores_in_turn")["devices"], record("h200_in_turn")["table_kernel"]["now"]
-    one, many = (record("h200_one_kernel")[name] for name in ("one_kernel", "kernels of XLA"))
-    twice, steps = "twice the rate of one", "control steps/s of training"
-    cuda, ours = kernel["cuda"], kernel["cuda with this package's random numbers"]
-    rows = (
-        ("two CPU cores: a sweep of tables", twice, median(devices["tabular_q sweep"]["efficiency"])),
-        ("two CPU cores: a sweep of `deep_q`", twice, median(devices["deep_q sweep"]["efficiency"])),
-        ("H200: `fused`", "`cuda`, which draws cheaper random numbers", kernel["fused"] / cuda),
-        ("H200: `fused`", "`cuda` with the same random numbers", kernel["fused"] / ours),
-        ("H200: training of `walk`, a time step as one kernel", "XLA's kernels", one[steps] / many[steps]),
-    )
-    return table("what | compared with | ratio of rates", ((*words, rounded(ratio)) for *words, ratio in rows))
+def machine_names() -> list[str]:
+    """Return the words for the two machines."""
+    words = []
+    for name, found in zip(("two CPU cores", "one GPU"), speed_records(), strict=True):
+        machine = found.get("machine")
+        gpu = machine and machine["backend"] == "gpu"
+        words.append(f"one {machine['device'].split()[1]}" if gpu else name)
+    return words
+
+
+def _rates(found: Any, batch: int, subjects: dict[str, str]) -> list[str]:
+    """Return the rate of each subject, and how many times slower or faster it is than the first."""
+    rates: dict[str, float] = {}
+    for row in found["records"]:
+        if batch in (0, row["batch"]) or "mujoco" in row["subject"]:  # which has a batch of its own
+            rates.setdefault(row["subject"], row["value"])  # of figures of a subject the first is the rate
+    why = {row["subject"]: row["why"] for row in reversed(found["failed"])}
+    first, cells = rates.get(next(iter(subjects.values()))), []
+    for name in subjects.values():
+        if name not in rates:
+            cells.append("" if name not in why else "not installed" if "not installed" in why[name] else "not measured")
+            continue
+        times = rates[name] / first if first else 1.0
+        apart, sense = rounded(max(times, 1 / times)), "faster" if times > 1 else "slower"
+        cells.append(rounded(rates[name]) + f" ({apart} times {sense})" * (apart != "1.0"))
+    return cells
 
 
 def stand() -> str:
@@ -167,17 +211,20 @@ def stand() -> str:
 
 def learners() -> str:
     """Return what success on `leg_reach` takes each learner, and how fast it trains on two machines."""
-    machines = (record(name)["records"] for name in ("cpu_2_cores", "h200"))
-    cpu, gpu = ({(row["subject"], row["unit"]): row for row in rows} for rows in machines)
+    cpu, gpu = ({(row["subject"], row["unit"]): row for row in found["records"]} for found in speed_records())
     rows = []
-    for name in ("linear_q", "deep_q", "brax_ppo"):
-        of = f"{name} leg_reach"
-        steps, end = cpu[of, "steps to 95 %"], cpu[of, "success at the end"]
-        ends = " to ".join(rounded(x, 3) for x in estimate(np.array(end["by_seed"]), 0.0, 1.0)[1:])
-        cells = spread(steps["by_seed"]), spread(end["by_seed"], 3), ends
-        rows.append((f"`{name}`", *cells, *(rounded(found[of, "episodes/s"]["value"]) for found in (cpu, gpu))))
+    for name, of in (("linear_q", "leg_reach_linear"), ("deep_q", "leg_reach"), ("brax_ppo", "leg_reach_ppo")):
+        cells = ["not measured"] * 3
+        both = [found for found in (cpu, gpu) if (of, "steps to 95 %") in found]
+        if both:
+            steps, end = (both[0][of, unit]["by_seed"] for unit in ("steps to 95 %", "success at the end"))
+            steps = [math.inf if x is None else x for x in steps]
+            interval = " to ".join(rounded(x, 3) for x in estimate(np.array(end), 0.0, 1.0)[1:])
+            cells = [spread(steps).replace("inf", "never"), spread(end, 3), interval]
+        rates = (found.get((of, "episodes/s"), {}).get("value") for found in (cpu, gpu))
+        rows.append((f"`{name}`", *cells, *("not measured" if x is None else rounded(x) for x in rates)))
     head = "learner | steps to 95 % success | success at the end | 95 % interval of its median"
-    return table(f"{head} | episodes a second, 2 CPU cores | one H200", rows)
+    return table(" | ".join((f"{head} | episodes a second, {machine_names()[0]}", machine_names()[1])), rows)
 
 
 def other_physics() -> str:
@@ -456,9 +503,12 @@ def _own_minutes(key: str) -> str:
 
 
 def faster_than_mjx() -> str:
-    """Return how many times as fast as MJX the tree is with 32,768 moving bodies on one H100."""
-    rates = {row["subject"]: row["value"] for row in record("h100_ground")["records"]}
-    return rounded(rates["tree ground moving"] / rates["mjx-jax ground moving"], 0)
+    """Return how many times as fast as MJX the tree is on a GPU, for many robots that are thrown about."""
+    rates = {row["subject"]: row["value"] for row in reversed(speed_records()[1]["records"])}
+    if not {"lower_body tree", "lower_body mjx-jax"} <= set(rates):
+        return "On a GPU it has not been measured"
+    times = rounded(rates["lower_body tree"] / rates["lower_body mjx-jax"], 0)
+    return f"On {machine_names()[1]} it runs {times} times as fast as MJX"
 
 
 SWEEPS = (
@@ -549,8 +599,10 @@ TABLES = {
         squat,
         robot_speeds,
         speed,
-        tables_on_cpu,
-        in_turn,
+        speed_machines,
+        speed_scenes,
+        speed_startup,
+        speed_training,
         stand,
         learners,
         other_physics,

@@ -4,8 +4,8 @@
 python experiments/docs_figures.py               # all, in a minute
 python experiments/docs_figures.py conventions   # one of them
 
-The film is made by `walk_film.py`; `throughput.py` and `sweep_curves.py` draw records. `maze_learning_curves.png` is
-the figure of `humanoid-mjx sweep maze`, `maze_learned.png` that of `humanoid-mjx plot runs/maze --y learned`.
+The film is made by `walk_film.py`; `docs/throughput.py` and `sweep_curves.py` draw records. `maze_learning_curves.png`
+is the figure of `humanoid-mjx sweep maze`, `maze_learned.png` that of `humanoid-mjx plot runs/maze --y learned`.
 """
 
 import argparse

@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar, overload
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Key
 
@@ -182,17 +183,27 @@ def rollout(
       Scalars `success`, `episode_return`, `steps`, `discounted_return`.
 
     Raises:
-      InputError: an argument of another kind, or an action of another shape or dtype; its values are not checked.
+      InputError: an argument of another kind, an action of another shape or dtype, or one outside its range. Under
+        `jax.jit` and `jax.vmap`, where values are not known, an action outside its range makes both returns NaN.
     """
     if not isinstance(task, Task) or not callable(policy):
         kinds = f"{type(task).__name__} and {type(policy).__name__}"
         raise InputError(f"rollout: write rollout(task, policy or function, key(0)); the first two are {kinds}.")
     check_key("rollout", key)
-    return _rollout(task, policy if isinstance(policy, Policy) else Partial(policy), key, discount)
+    episode, action = _rollout(task, policy if isinstance(policy, Policy) else Partial(policy), key, discount)
+    env = as_continuous(task)
+    allowed = env.allows(action)
+    if isinstance(allowed, Tracer):
+        total, discounted = (jnp.where(allowed, x, jnp.nan) for x in (episode[1], episode[3]))
+        return Episode(episode.success & allowed, total, episode.steps, discounted)
+    if not allowed:
+        kinds = _kinds(env.action_bins, env is task)
+        raise InputError(f"rollout: the policy must return {kinds}; it returned {shown(action.tolist())}.")
+    return episode
 
 
 @jax.jit
-def _rollout(task: Task, policy: Policy[Any] | Partial, key: Key[Array, ""], discount: float | Array) -> Episode:
+def _rollout(task: Task, policy: Any, key: Key[Array, ""], discount: float | Array) -> tuple[Episode, Array]:
     env = as_continuous(task)
 
     def choose(state: State, key: Key[Array, ""]) -> Array:
@@ -200,7 +211,7 @@ def _rollout(task: Task, policy: Policy[Any] | Partial, key: Key[Array, ""], dis
             return policy(policy.observation(state), key)
         return _checked(policy(state.obs, key), env.action_bins, env is task)
 
-    return rollouts.rollout(env, choose, key, discount)
+    return rollouts.rollout_checked(env, choose, key, discount)
 
 
 def _checked(action: Any, bins: tuple[int, ...], commands: bool) -> Array:
@@ -208,10 +219,13 @@ def _checked(action: Any, bins: tuple[int, ...], commands: bool) -> Array:
     action = jnp.asarray(action)
     allowed = commands if jnp.issubdtype(action.dtype, jnp.floating) else jnp.issubdtype(action.dtype, jnp.integer)
     if action.shape != (len(bins),) or not allowed:
-        kinds = f"integers at least 0 and below {list(bins)}" + ", or numbers from -1 to 1" * commands
-        got = f"{action.dtype}{list(action.shape)}"
+        kinds, got = _kinds(bins, commands), f"{action.dtype}{list(action.shape)}"
         raise InputError(f"rollout: the policy must return {kinds}, of shape ({len(bins)},); got {got}.")
     return action
+
+
+def _kinds(bins: tuple[int, ...], commands: bool) -> str:
+    return f"integers at least 0 and below {list(bins)}" + ", or numbers from -1 to 1" * commands
 
 
 def load_policy(name: Path | str, point: int | None = None) -> Policy[object]:

@@ -126,6 +126,18 @@ def test_a_function_of_ones_own_plays():
     assert set(seen) == {(1,)} and 1 <= int(episode.steps) <= 50
 
 
+def test_an_action_outside_its_range_has_no_return_where_values_are_not_known():
+    """The first choice is right, so the fault lies within the episode."""
+
+    def returns(wrong):
+        episode = rollout(TASK, lambda obs, key: jnp.where(obs > 0, wrong, 1), key(0))
+        return episode.episode_return, episode.discounted_return, episode.success
+
+    total, discounted, success = jax.vmap(returns)(jnp.array([1, 2, -1]))
+    np.testing.assert_array_equal(np.isnan([total, discounted]), [[False, True, True]] * 2)
+    np.testing.assert_array_equal(success, [True, False, False])
+
+
 def test_a_shipped_policy_is_a_function():
     policy = load_policy("stand")
     state = jax.jit(policy.task.reset)(key(0))
@@ -223,6 +235,9 @@ WRONG = {
     "rollout(task, lambda obs, key: jnp.zeros(2, int), key(0))": "below [2], of shape (1,); got int32[2].",
     "rollout(task, lambda obs, key: jnp.zeros(1), key(0))": "below [2], of shape (1,); got float32[1].",
     "rollout(reach, lambda obs, key: jnp.zeros(2), key(0))": "or numbers from -1 to 1, of shape (5,); got float32[2].",
+    "rollout(task, lambda obs, key: jnp.full(1, 7), key(0))": "integers at least 0 and below [2]; it returned [7].",
+    "rollout(task, lambda obs, key: jnp.where(obs > 0, -1, 1), key(0))": "below [2]; it returned [-1].",
+    "rollout(reach, lambda obs, key: jnp.full(5, 1.5), key(0))": "or numbers from -1 to 1; it returned [1.5, 1.5,",
     "policy(policy.task.reset(key(0)), key(0))": "write policy(policy.observation(state), key).",
     "policy.observation(task.reset(key(0)))": "policy.observation: take a state of policy.task.reset or .step, got",
     "make_learner('tabular_q', 'joint_reach')": "got 'joint_reach'; pass make_task('joint_reach').",

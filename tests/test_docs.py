@@ -42,6 +42,18 @@ def test_figures_of_pages_are_those_of_the_records():
     assert set(re.findall(r"<!-- record: (\w+) -->", "".join(TEXTS.values()))) == set(build.FIGURES)
 
 
+def test_speeds_are_compared_with_the_first_of_their_group():
+    rows = [("a", 8, 100.0), ("a", 2, 7.0), ("b mujoco", 1, 25.0), ("c", 8, 400.0), ("g", 2, 1.0)]
+    failed = {"d": "numba is not installed", "e": "took longer than 9 s"}
+    found = {
+        "records": [dict(zip(("subject", "batch", "value"), row, strict=True)) for row in rows],
+        "failed": [{"subject": name, "why": why} for name, why in failed.items()],
+    }
+    cells = build_module().tables._rates(found, 8, {name: name for name in ("a", "b mujoco", "c", "d", "e", "f", "g")})
+    expected = ["100", "25 (4.0 times slower)", "400 (4.0 times faster)", "not installed", "not measured", "", ""]
+    assert cells == expected
+
+
 def test_records_older_than_what_they_measure_are_found(tmp_path):
     stale = build_module().stale
     records = {path.stem: path.read_text(encoding="utf-8") for path in (DOCS / "bench").glob("*.json")}

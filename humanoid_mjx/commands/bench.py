@@ -3,7 +3,6 @@
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from json import dumps
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,14 +10,8 @@ from typer import Argument, Exit, Option
 
 from humanoid_mjx.commands import console
 
-BENCHES = {
-    "tabular": "benches:tables",
-    "physics": "benches:physics",
-    "control": "benches:control",
-    "training": "trainings:run",
-    "startup": "startup:run",
-}
-"""Module in the folder `benchmarks` and its function `(say) -> list[Record]`; the subjects are timed in turn."""
+BENCHES = ("tabular", "physics", "training", "startup")
+"""Benchmarks of `benchmarks/publish.py`."""
 
 
 def bench(
@@ -26,46 +19,26 @@ def bench(
         list[str] | None,
         Argument(
             metavar="[NAME]...",
-            help="tabular, physics, control, training, startup or all; compare OLD.json NEW.json: two results, with "
+            help="tabular, physics, training, startup or all; compare OLD.json NEW.json: two results, with "
             "exit code 1 where something became slow.",
         ),
     ] = None,
     json: Annotated[Path | None, Option(metavar="FILE", help="Write the figures as JSON.")] = None,
-    seeds: Annotated[int | None, Option(min=1, help="Seeds of every learner that training trains; 5.")] = None,
+    limit: Annotated[float | None, Option(metavar="S", help="Begin no row after so many seconds.")] = None,
 ) -> None:
     """Measure steps and episodes per second against the alternatives, compile time apart."""
-    from humanoid_mjx import compute
-    from humanoid_mjx.files import write_text
     from humanoid_mjx.spec import InputError, check_folder, known
 
     chosen = names or ["all"]
-    if seeds is not None and not {"training", "all"} & set(chosen):
-        raise InputError("bench --seeds: only training has seeds.")
     if chosen[0] == "compare":
         compare_benches(chosen[1:])
         return
     if odd := [name for name in chosen if name not in (*BENCHES, "all")]:
-        there = (*BENCHES, "all", "compare")
-        raise InputError(f"bench: unknown benchmark {odd[0]!r}; {known(odd[0], there)}.")
+        raise InputError(f"bench: unknown benchmark {odd[0]!r}; {known(odd[0], (*BENCHES, 'all', 'compare'))}.")
     if json is not None:
         check_folder(json, "--json")
-    compute.start()
-    made_by = compute.made_by()  # before the first benchmark: the checkout may change meanwhile
-    records: list[dict[str, Any]] = []
-    for name in BENCHES if "all" in chosen else chosen:
-        console.print(f"{name}:")
-        options = {"seeds": seeds} if name == "training" and seeds is not None else {}
-        found = measuring(name)(lambda line: console.print("  " + line), **options)
-        records += [record.as_json() | {"commit": made_by["commit"]} for record in found]
-    if json is not None:
-        write_text(json, dumps(made_by | {"records": records}, indent=2) + "\n")
-        console.print(f"{json}")
-
-
-def measuring(name: str) -> Any:
-    """The function of a benchmark."""
-    module, _, function = BENCHES[name].partition(":")
-    return getattr(_module(module), function)
+    command = " ".join(["humanoid-mjx bench", *chosen])
+    _module("publish").publish(() if "all" in chosen else chosen, json, command, limit=limit)
 
 
 def _module(name: str) -> Any:

@@ -21,7 +21,7 @@ from humanoid_mjx.robot.declared import Declaration, describes_robot
 from humanoid_mjx.robot.description import IMU
 from humanoid_mjx.robot.differences import HEADINGS, differences_of
 from humanoid_mjx.robot.holding import in_words
-from humanoid_mjx.spec import InputError, find, known, modules_in
+from humanoid_mjx.spec import InputError, Spec, find, known, modules_in
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
@@ -44,7 +44,7 @@ def show_keys(name: str | None) -> None:
     if name is None:
         chosen = [(kind, of) for kind, (registry, _) in kinds.items() for of in registry]
     elif name in TASKS or name in LEARNERS or ":" in name:
-        chosen = [("learner" if name in LEARNERS else "task", name)]
+        chosen = [("learner" if issubclass(find("task", TASKS | LEARNERS, Spec, name), Learner) else "task", name)]
     else:
         _check_name(name)
         config = load(name)

@@ -38,18 +38,31 @@ class Episode(NamedTuple):
 
 def rollout(env: ContinuousTask, choose: Choose, key: Key[Array, ""], discount: FloatScalar | float = 1.0) -> Episode:
     """Play one episode to its end, at most `MAX_EPISODE_STEPS` steps."""
+    return rollout_checked(env, choose, key, discount)[0]
 
-    def running(loop: tuple[State, Float[Array, "2"], IntScalar]) -> BoolScalar:
-        state, _, steps = loop
-        return ~state.done & (steps < MAX_EPISODE_STEPS)
 
-    def step(loop: tuple[State, Float[Array, "2"], IntScalar]) -> tuple[State, Float[Array, "2"], IntScalar]:
-        state, totals, steps = loop
-        state, _ = decide(env, choose, key, state, steps)
-        return state, totals + state.reward * jnp.stack([jnp.float32(1), discount**steps]), steps + 1
+Loop = tuple[State, Float[Array, "2"], IntScalar, Array]
+"""Carry of a rollout: the state, both returns, steps, and the last action or the first outside its range."""
 
-    state, totals, steps = jax.lax.while_loop(running, step, (start(env, key), jnp.zeros(2), jnp.int32(0)))
-    return Episode(state.success, totals[0], steps, totals[1])
+
+def rollout_checked(
+    env: ContinuousTask, choose: Choose, key: Key[Array, ""], discount: FloatScalar | float = 1.0
+) -> tuple[Episode, Array]:
+    """Return what `rollout` does, and the first action that `env` does not allow; if there is none, the last action."""
+
+    def running(loop: Loop) -> BoolScalar:
+        return ~loop[0].done & (loop[2] < MAX_EPISODE_STEPS)
+
+    def step(loop: Loop) -> Loop:
+        state, totals, steps, before = loop
+        state, action = decide(env, choose, key, state, steps)
+        totals += state.reward * jnp.stack([jnp.float32(1), discount**steps])
+        return state, totals, steps + 1, jnp.where(env.allows(before), action, before)
+
+    first = start(env, key)
+    loop = first, jnp.zeros(2), jnp.int32(0), jnp.zeros_like(jax.eval_shape(choose, first, key))
+    state, totals, steps, action = jax.lax.while_loop(running, step, loop)
+    return Episode(state.success, totals[0], steps, totals[1]), action
 
 
 def start(env: ContinuousTask, key: Key[Array, ""]) -> State:

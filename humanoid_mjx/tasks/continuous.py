@@ -81,6 +81,12 @@ class ContinuousTask(Task):
             return action
         return 2.0 * action / (np.array(self.action_bins) - 1) - 1.0
 
+    def allows(self, action: Array) -> BoolScalar:
+        """Return whether all choices of an action, or all its numbers, lie in their range."""
+        commands = jnp.issubdtype(action.dtype, jnp.floating)
+        low, high = (-1, 1) if commands else (0, np.array(self.action_bins) - 1)
+        return ((action >= low) & (action <= high)).all()
+
     @property
     def _strides(self) -> Int[np.ndarray, " joints"]:
         return np.cumprod((1, *self.action_bins[:-1]))

@@ -6,17 +6,34 @@ import shutil
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from docs_reader import blocks
 from small_sweep import CONFIG, assert_same_tables, write_config
 
-from humanoid_mjx import InputError, sweep
+from humanoid_mjx import InputError, compute, make_learner, make_task, sweep
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.plan import resolved
+from humanoid_mjx.training.program import begin, train
 from humanoid_mjx.training.programs import RUNS, _shared_out
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.sweep import Run
+
+
+def test_the_learner_with_replay_of_the_documentation_compiles(tmp_path, monkeypatch):
+    """By the options of its `program`: with those of `DeepQ`, XLA aborts."""
+    page = (Path(__file__).parents[2] / "docs" / "own_parts.md").read_text(encoding="utf-8")
+    (text,) = (block.text for block in blocks(page) if block.title == "replay.py")
+    (tmp_path / "with_replay.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    values = {"total_steps": 99, "capacity": 4321, "envs": 3, "width": 8, "layers": 1, "batch": 16, "evaluations": 1}
+    learner = make_learner("with_replay:ReplayQ", make_task("leg_reach"), **values)
+    runs = jax.eval_shape(jax.vmap(lambda key: begin(learner, key)), jax.random.split(jax.random.key(0), 2))
+    options = compute.compiler_options(learner.env.arithmetic, learner.program)
+    train_all = jax.jit(jax.vmap(lambda run: train(learner, run, jnp.int32(64))), compiler_options=options)
+    assert train_all.lower(runs).compile()
 
 
 @pytest.fixture(scope="module")

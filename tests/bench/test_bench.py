@@ -1,55 +1,90 @@
 """The benchmarks run, and their subjects do the same work."""
 
 import json
+import os
 import subprocess
-import sys
+import time
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
-import benches
 import ground_physics as ground
-import leg_physics as physics
+import leg_physics
 import numpy as np
+import opponents
 import other_tables
+import publish
 import pytest
 import results as compare
 import startup
 import tabular
 import trainings as training
-from timing import Subject, spread, time_in_turn, time_rates
+from publish import Row, Worker
+from timing import Subject, joined, spread, time_in_turn, time_rates
 from typer.testing import CliRunner
 
 from humanoid_mjx import InputError, compute
 from humanoid_mjx.cli import app
-from humanoid_mjx.commands.bench import BENCHES, measuring
+from humanoid_mjx.commands.bench import BENCHES
 from humanoid_mjx.compute import provenance
 from humanoid_mjx.training.sweep import Run
 
-TINY = """
-import sys
-sys.path.append("benchmarks")
-import other_tables, tabular
-other_tables.PYTHON_STEPS = 50
-tabular.BATCHES, tabular.STEPS = {"cpu": (8,), "gpu": (8,)}, (50, 50)
-from humanoid_mjx.cli import main
-main()
-"""
-"""In a process of its own, where no type checker stands around what numba compiles."""
+
+def test_a_row_that_fails_is_written_as_such_and_the_rest_goes_on(tmp_path, monkeypatch):
+    there = [
+        Row("physics", "raises", 1, json.loads, ("}",)),
+        Row("physics", "dies", 1, os._exit, (3,)),
+        Row("physics", "nowhere", 1, print, (), "no_such_package"),
+        Row("tabular", "python", 1, publish.tables_row, ("python", 1)),
+        Row("training", "not chosen", 1, print),
+    ]
+    monkeypatch.setattr(publish, "rows", lambda backend: there)
+    found = publish.publish(["physics", "tabular"], tmp_path, "the command")
+    written = json.loads((tmp_path / "speed_cpu.json").read_text())
+    assert written["records"] == found["records"] and written["command"] == "the command"
+    assert [(row["subject"], row["unit"]) for row in found["records"]] == [
+        ("python", "steps/s"),
+        ("python", "episodes/s"),
+    ]
+    why = {row["subject"]: row["why"] for row in written["failed"]}
+    assert list(why) == ["raises", "dies", "nowhere"] and "JSONDecodeError" in why["raises"]
+    assert why["dies"] == "its process died with code 3" and why["nowhere"] == "no_such_package is not installed"
+    assert compare.read_result(tmp_path / "speed_cpu.json")["commit"] == compute.commit()
 
 
-def test_tabular_writes_its_records(tmp_path):
-    file = tmp_path / "bench.json"
-    command = [sys.executable, "-c", TINY, "bench", "tabular", "--json", str(file)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    result = json.loads(file.read_text())
-    assert set(result) == {"machine", "versions", "commit", "records"}
-    assert {record["subject"] for record in result["records"]} >= {"scan", "naive_scan", "python"}
-    keys = {"bench", "subject", "device", "batch", "value", "unit", "compile_s", "repeats", "spread", "commit"}
-    for record in result["records"]:
-        assert set(record) == keys
-    assert max(map(len, done.stdout.splitlines())) <= 100
+def test_no_row_starts_after_the_limit_and_one_that_is_late_is_ended(monkeypatch):
+    monkeypatch.setattr(publish, "rows", lambda backend: [Row("physics", "late", 1, print)])
+    assert [row["why"] for row in publish.publish(limit=-1.0)["failed"]] == ["not begun within -1 s"]
+    worker = Worker("own")
+    with pytest.raises(RuntimeError, match="took longer than 0 s"):
+        worker.ask(0.01, time.sleep, 1e6)
+    assert not worker.alive
+
+
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])
+def test_rows_have_names_of_their_own_and_all_benchmarks(backend):
+    rows = publish.rows(backend)
+    assert len(set(map(str, rows))) == len(rows) and {row.bench for row in rows} == set(BENCHES)
+    assert all(row.process == "own" for row in rows) == (backend == "gpu")
+
+
+def test_robots_are_thrown_about_as_native_mujoco_moves_them():
+    states = ground.states_of(4, True, "dog")
+    assert [part.shape for part in states] == [(4, 19), (4, 18), (4, 12)] and np.ptp(states[0], axis=0).min() > 0.0
+    scene = ground.contacts("dog")
+    assert 0.0 < scene["contacts"] < scene["most contacts"] and scene["solver iterations"] > 0.0
+    ours = joined(ground.compiled("tree", states, 5, "dog")())[0]
+    np.testing.assert_allclose(ours, opponents.native(states, 5, "dog")(), atol=1e-4)
+
+
+def test_the_leg_is_timed_in_the_air():
+    found = [publish.legs_row(name, 1)[0] for name in ("chain", "mujoco")]
+    assert [(row.subject, row.unit) for row in found] == [
+        ("legs chain", "control+physics steps/s"), ("legs mujoco", "physics steps/s")
+    ]  # fmt: skip
+    bare = leg_physics.chain(1, 100, controlled=False)
+    after = opponents.mujoco(1, 100)()
+    np.testing.assert_allclose(joined(bare())[0], after[:, :5], atol=1e-3)
 
 
 def test_subjects_finish_as_many_episodes(monkeypatch):
@@ -62,36 +97,6 @@ def test_subjects_finish_as_many_episodes(monkeypatch):
         finished[name] = made.episodes(made.call()) / (1 if name == "python" else 2)
     # Episodes take 23 steps once epsilon has decayed, after some thousand: 1,500 of 40,000 steps.
     assert all(abs(n / finished["python"] - 1) < 0.03 for n in finished.values()), finished
-
-
-def test_control_times_every_controller():
-    lines = []
-    records = benches.control(lines.append, physics.Setting((1,), 2, 2))  # one leg is on one device, and compiled once
-    assert [(r.bench, r.subject) for r in records] == [
-        ("control", name) for name in (*physics.CONTROLLERS, "none mjx-jax", "computed torque mjx-jax")
-    ]
-    assert all(r.value > 0 for r in records)
-    assert "ns a step for control" in lines[-1] and "ns a step" not in lines[0]
-
-
-def test_the_leg_is_timed_in_every_physics():
-    lines = []
-    records = benches.legs(lines.append, physics.Setting((1,), 2, 2, 2))  # one leg is on one device
-    control = {f"{name} control+physics steps/s" for name in ("chain", "mjx-jax", "mjx-jax plain")}
-    physical = {f"{name} physics steps/s" for name in ("chain", "mjx-jax", "mujoco")}
-    assert {f"{r.subject} {r.unit}" for r in records} == control | physical
-    assert all(r.value > 0 for r in records) and "mjx-jax plain" in lines[-1]
-
-
-def test_the_ground_writes_a_record_for_every_physics_and_batch(monkeypatch):
-    lines = []
-    steps = {"mjx-jax": 25, ground.COMPUTED_TORQUE: 25, "mjx-warp": 25, "mujoco": 2}
-    monkeypatch.setattr(ground, "visited", ground.states_of)
-    records = benches.bodies(lines.append, ground.Setting((1,), steps))
-    subjects = ["mjx-jax ground", "mjx-jax computed torque ground", "mujoco ground"]
-    subjects += ["mjx-jax ground moving", "mujoco ground moving"]
-    assert [(r.subject, r.batch) for r in records] == [(name, 1) for name in subjects] and len(lines) == 5
-    assert all(r.bench == "physics" and r.value > 0 for r in records)
 
 
 def stored(*success):
@@ -129,14 +134,11 @@ def test_training_writes_records_and_skips_what_is_not_there():
     lines = []
     tiny = ["total_steps=4096", "record=4", "learner.evaluation_envs=2", "learner.envs=16", "learner.evaluations=2"]
     records = training.run(lines.append, ["leg_reach", "nowhere"], tiny, seeds=2)
-    assert lines[2] == "nowhere: does not ship" and "of an update" in lines[1]
-    assert {r.subject for r in records} == {"deep_q leg_reach"} and {r.batch for r in records} == {16}
-    units = {"steps/s", "episodes/s", "success at the end", "share of physics", "share of the task"}
-    assert {r.unit for r in records} == units | {"share of learning"}
-    parts = [record.value for record in records if record.unit.startswith("share of ")]
-    assert len(parts) == 3 and sum(parts) == pytest.approx(1.0) and min(parts) >= 0.0 and parts[0] > 0.0
+    assert lines[1] == "nowhere: does not ship"
+    assert {r.subject for r in records} == {"leg_reach"} and {r.batch for r in records} == {16}
+    assert {r.unit for r in records} == {"steps/s", "episodes/s", "success at the end"}
     assert all(r.compile_s > 0 and r.repeats == 2 for r in records)
-    assert len(records[-4].as_json()["by_seed"]) == 2
+    assert len(records[-1].as_json()["by_seed"]) == 2
     assert "by_seed" not in records[0].as_json()
 
 
@@ -164,15 +166,6 @@ def test_the_spread_is_the_range_of_the_middle_half():
     assert spread([1.0, 2.0, 3.0, 4.0, 5.0]) == pytest.approx(2.0 / 3.0, abs=1e-4)
     timings = time_in_turn({"once": Subject(lambda: 0, 1, 1, repeats=1), "often": Subject(lambda: 0, 1, 1, repeats=5)})
     assert timings["once"].spread is None and timings["often"].spread >= 0.0
-
-
-@pytest.mark.parametrize("name", ["cpu_2_cores", "h200"])
-def test_a_result_compared_with_itself_has_not_changed(name):
-    """Also one with keys that are no longer measured, and with several figures of one key."""
-    before = compare.read_result(Path(__file__).parents[2] / "docs" / "bench" / f"{name}.json")
-    found = compare.changes(before, before)
-    assert {change.factor for change in found} <= {1.0, np.inf} and not any(change.regressed for change in found)
-    assert len(found) > 90 and not compare.warnings(before, before)
 
 
 def test_a_simulation_that_ran_away_is_refused():
@@ -245,13 +238,3 @@ def test_startup_is_measured_with_nothing_compiled_and_again():
         assert ("share of tracing" in found) == (kind == "joint1 cold")
     with pytest.raises(InputError, match=r"did not come to training: error: .*learner\.nothing"):
         startup.run(lines.append, ("joint1",), ("learner.nothing=1",), repeats=1)
-
-
-def test_every_benchmark_is_found():
-    assert {name: measuring(name) for name in BENCHES} == {
-        "tabular": benches.tables,
-        "physics": benches.physics,
-        "control": benches.control,
-        "training": training.run,
-        "startup": startup.run,
-    }
