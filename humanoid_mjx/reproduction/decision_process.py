@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Key
 from pydantic import Field
 
-from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed, unprinted
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed
 from humanoid_mjx.reproduction.joint_ways import printed_run
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -60,7 +60,8 @@ def waiting(setting: Setting) -> Iterator[Finding]:
     share = {}
     for joint in POSITIONS:
         setting.tell(f"joint {joint}: training with {len(discounts)} discounts, {SEEDS} seeds each")
-        share[joint] = _greedy_success(_reach(joint), {"learner.discount": discounts.tolist()})
+        task = {"name": "joint_reach", "joint": joint, "states": POSITIONS[joint]}
+        share[joint] = _greedy_success(task, {"learner.discount": discounts.tolist()})
     at_printed = int(np.argmin(np.abs(discounts - PRINTED["discount"])))
     for joint, (_, goal) in thesis.JOINT_RANGES.items():
         last, end = thesis.REWARD_SCALE * (goal - thesis.FIGURES_ACTION), thesis.REWARD_SCALE * goal
@@ -71,25 +72,6 @@ def waiting(setting: Setting) -> Iterator[Finding]:
         why += f"largest discount tried at which most runs go to the goal is {_largest(discounts, share[joint]):g}"
         arrive = float(share[joint][at_printed])
         yield check(quantity, claim, round(arrive, 3), arrive > 0.99, why, 0.01)
-
-
-@experiment("finding-aliasing", "Few states alias many places")
-def aliasing(setting: Setting) -> Iterator[Finding]:
-    """The effect of few states: several places share a row of the table, whose optimum is not that of the places."""
-    discounts = np.round(np.arange(0.88, 0.93, 0.005), 3)
-    largest = {}
-    for states in (thesis.TABLES_STATES, PRINTED["states"], POSITIONS[1]):
-        setting.tell(f"training with {states} states")
-        share = _greedy_success(_reach(1, states=states), {"learner.discount": discounts.tolist()})
-        largest[states] = _largest(discounts, share)
-    own = largest[POSITIONS[1]]
-    for states, value in largest.items():
-        quantity = f"joint 1 with {states} states for 24 places: largest discount tried at which it goes to the goal"
-        why = f"with a row for every place it is {own:g}; {24 / states:.2g} places share a row here, and the reward of "
-        why += "the last row is paid for waiting anywhere in it"
-        if states == POSITIONS[1]:
-            why = "every place has a row of its own: this is the optimum of the places"
-        yield unprinted(quantity, value, why)
 
 
 @experiment("finding-negative-reward", "What a negative reward of stepping back would do")
@@ -153,11 +135,6 @@ def largest_cost(steps: int, bonus: float, discount: float) -> float:
 def _largest(discounts: np.ndarray, share: np.ndarray) -> float:
     """The largest discount at which more than half of the runs reach the goal."""
     return float(discounts[share > 0.5].max()) if (share > 0.5).any() else float("nan")
-
-
-def _reach(joint: int, **task: Any) -> dict[str, Any]:
-    """The config of a task in which a joint goes to its goal, a row of the table for every place."""
-    return {"name": "joint_reach", "joint": joint, "states": POSITIONS[joint]} | task
 
 
 def _greedy_success(task: dict[str, Any], axes: dict[str, list[float]]) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from humanoid_mjx import dynamics
 from humanoid_mjx.control.gains import critical_kd, damping_ratio, max_kp, poles, step_response
+from humanoid_mjx.report.style import COLORS, label_lines, shades
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, compare, experiment, listed, three_digits
 from humanoid_mjx.reproduction.leg_values import over
 from humanoid_mjx.robot.leg import Leg
@@ -78,7 +79,8 @@ def _allowed_gains() -> np.ndarray:
 
 
 RATIOS = np.round(np.arange(0.05, 3.001, 0.01), 2)
-"""Damping ratios."""
+SHOWN = (0.1, 0.3, 0.5, 0.7, 1.0, 2.0)
+"""Damping ratios, and those whose responses are drawn: Table 5.1's are about 2."""
 
 SETTLED, OVERSHOOT = 0.02, 1e-13
 """Shares of a step: what may be missing for good, and what rounding in double precision may make beyond it; at a ratio
@@ -89,7 +91,20 @@ of 0.99 it is 3e-10."""
 def responses(setting: Setting) -> list[Finding]:
     """Section 5.2: which damping is fastest without overshoot, and for which the system is stable."""
     times = np.linspace(0.0, 30.0, 6001)
-    return judge_responses(times, _step_responses(times, RATIOS))
+    curves = _step_responses(times, RATIOS)
+    with setting.figure(1, 2, size=(4.6, 3.4), title="A step of a second-order system at 1 rad/s") as (_, axes):
+        left, right = axes[0]
+        for ratio, color in zip(SHOWN, shades(len(SHOWN)), strict=True):
+            left.plot(times, curves[np.argmin(np.abs(RATIOS - ratio))], color=color, label=f"{ratio:g}")
+        left.set(xlim=(0, 15), xlabel="time, s", ylabel="response", title="Responses")
+        label_lines(left, "damping ratio")
+        right.plot(RATIOS, [_settling(times, curve) for curve in curves], color=COLORS[0], label="any ratio")
+        for joint, ratio in enumerate(np.asarray(damping_ratio(jnp.array(thesis.KP), jnp.array(thesis.KD)))):
+            settled = _settling(times, _step_responses(times, ratio[None])[0])
+            right.plot(ratio, settled, "o", color=COLORS[joint + 1], label=f"joint {joint + 1}, Table 5.1")
+        right.set(xlabel="damping ratio", ylabel="time, s", title=f"Time to stay within {SETTLED:.0%} of the end")
+        label_lines(right)
+    return judge_responses(times, curves)
 
 
 def judge_responses(times: np.ndarray, curves: np.ndarray) -> list[Finding]:

@@ -15,7 +15,9 @@ from humanoid_mjx.evaluation.episode import Motion, stepped
 from humanoid_mjx.mechanics import gaits, pattern_generator
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages, World
+from humanoid_mjx.report.rendering import draw
 from humanoid_mjx.reproduction.balance import foot_corners, ground_wrench, inside_support, zero_moment_point
+from humanoid_mjx.reproduction.findings import Setting
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import AnyArray, IntScalar
 
@@ -106,18 +108,6 @@ class Path(NamedTuple):
         """The turn of the torso that lasts, degrees: the least of the last `LASTS_S`, 0 where it turns back."""
         late = self.turned[-round(LASTS_S / physics().step_s) :]
         return float(late[np.abs(late).argmin()]) if (np.sign(late) == np.sign(late[0])).all() else 0.0
-
-    @property
-    def slip(self) -> float:
-        """The mean speed of the corners that touch over the ground, m/s."""
-        stays = self.touching[1:] & self.touching[:-1]
-        speed = np.linalg.norm(np.diff(self.corners[..., :2], axis=0), axis=-1) / physics().step_s
-        return float(speed[stays].mean())
-
-    @property
-    def tracking(self) -> float:
-        """The root mean square of the distance from the plan over time and joints, rad."""
-        return float(np.sqrt(np.mean(self.error**2)))
 
 
 @cache
@@ -232,6 +222,21 @@ def standing(joints: Float[AnyArray, " joints"]) -> Float[np.ndarray, " nq"]:
     qpos = np.concatenate([physics().qpos0[:7], joints])
     qpos[2] -= foot_corners(physics(), qpos[None])[0, :, 2].min()
     return qpos
+
+
+def draw_bodies(
+    setting: Setting, title: str, rows: Sequence[Sequence[tuple[str, np.ndarray]]], size: tuple[float, float]
+) -> None:
+    """Draw a panel for each body, rows of words and `qpos`, of a size in inches."""
+    pictures = iter(draw(physics().model, np.array([qpos for row in rows for _, qpos in row])))
+    title += "\nRight leg blue, left leg orange"
+    with setting.figure(len(rows), max(map(len, rows)), size=size, title=title) as (_, axes):
+        for panel in axes.flat:
+            panel.set_axis_off()
+        for row, panels in zip(rows, axes, strict=True):
+            for (words, _), panel in zip(row, panels, strict=False):
+                panel.imshow(next(pictures))
+                panel.set_title(words, loc="center", fontsize=8.5)
 
 
 @cache

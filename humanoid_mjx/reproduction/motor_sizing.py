@@ -56,7 +56,7 @@ def motor_sizing(setting: Setting) -> list[Finding]:
     both, one = (squat(weight, legs, deepest) for legs in (2, 1))
     allowed = float(both.knee[both.inside.all(axis=1)].max())
     held = float(both.knee[(np.abs(both.torque) <= MOTORS + UPRIGHT).all(axis=1)].max())
-    carried = f"{_weight(weight):.1f} N, of which the torso {weight:g} N"
+    carried = f"{body_weight(weight):.1f} N, of which the torso {weight:g} N"
     motion = planned(np.linspace(0.0, thesis.QUINTIC_S, 501))
     swing = np.abs(over(dynamics.inverse_dynamics, Leg.physical(), *motion)).max(axis=0)
     outside = ", ".join(NAMES[joint] for joint in np.flatnonzero(~one.inside[0]))
@@ -86,7 +86,7 @@ def _finding(what: str, needed: np.ndarray, why: str) -> Finding:
     return check(quantity, MOTORS.tolist(), found, enough, why, could_differ=needed.max() > UPRIGHT)
 
 
-def _weight(torso: float) -> float:
+def body_weight(torso: float) -> float:
     """Weight of the torso and both legs, N."""
     return torso + 2 * thesis.GRAVITY * sum(thesis.LINK_MASSES)
 
@@ -98,7 +98,7 @@ def squat(torso: float, legs: int, deepest: float) -> Squat:
     hangs straight from its hip.
     """
     leg = Leg.physical()
-    weight = _weight(torso)
+    weight = body_weight(torso)
 
     def moments(q: Any) -> Any:
         """First moments of the leg along the axes of frame 0, kg m."""

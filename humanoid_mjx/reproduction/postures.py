@@ -1,23 +1,18 @@
-"""Figures 7.17 and 7.18: both legs go from one posture to another, by what a table learned and by a planned path."""
+"""Figures 7.17 and 7.18: both legs go from one posture to another, by what a table learned."""
 
 import tempfile
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
-from humanoid_mjx.control import Reference
-from humanoid_mjx.evaluation.episode import HOLD_S, motion_of, play, stepped
+from humanoid_mjx.evaluation.episode import motion_of, play
 from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.evaluation.policy import best_policy
-from humanoid_mjx.mechanics.trajectories import rest_to_rest
-from humanoid_mjx.report.rendering import draw, render_film
+from humanoid_mjx.report.rendering import render_film
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits, unprinted
-from humanoid_mjx.reproduction.ground import physics, standing
-from humanoid_mjx.reproduction.leg_values import planned
+from humanoid_mjx.reproduction.ground import draw_bodies, standing
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
@@ -81,13 +76,8 @@ def following(setting: Setting) -> Iterator[Finding]:
 
 def _draw(setting: Setting, when: str, postures: Sequence[tuple[str, np.ndarray]]) -> None:
     """A panel for each posture of the joints, (10,) rad, with its lowest foot on the ground."""
-    pictures = draw(physics().model, np.array([standing(joints) for _, joints in postures]))
-    title = f"{when} postures: degrees of the right leg, the left takes the opposite\nRight leg blue, left leg orange"
-    with setting.figure(1, len(postures), size=(3.5, 3.4), title=title) as (_, axes):
-        for panel, (words, _), picture in zip(axes[0], postures, pictures, strict=True):
-            panel.imshow(picture)
-            panel.set_axis_off()
-            panel.set_title(words, loc="center", fontsize=8.5)
+    title = f"{when} postures: degrees of the right leg, the left takes the opposite"
+    draw_bodies(setting, title, [[(words, standing(joints)) for words, joints in postures]], (3.5, 3.4))
 
 
 def _in_range(section: str, when: str, degrees: tuple[float, ...]) -> Finding:
@@ -116,31 +106,25 @@ def _sign() -> Finding:
 
 
 def _switch(section: str, setting: Setting) -> list[Finding]:
-    """Train on a posture, show the motion, and measure it against a plan that takes as long."""
+    """Train on a posture, show the motion, and measure it, also of a heavier robot."""
     setting.tell(f"section {section}: training {SEEDS} tables of {EPISODES} episodes")
     trained = _train(section, setting.config)
     setting.tell(f"section {section}: playing and drawing the motion")
     task = trained.learner.task
-    goal = np.asarray(task.whole_body(task.grid[:, -1]))
     episode = play(trained)
     motion = motion_of(trained, episode)
     path = setting.out / f"figure-7.18-{section}.gif"
     render_film(Film(make_robot("legs").spec().compile(), motion.qpos, task.timestep), path)
-    setting.tell(f"section {section}: the same along a plan, and with twice the mass")
-    learned = _measure(motion, goal, task)
-    plan = _measure(_planned(task, learned.settling), goal, task)
+    setting.tell(f"section {section}: the same with {HEAVY:g} times the mass")
+    learned = _measure(motion, task)
     heavy = task.replace(mass=np.float32(HEAVY))
     trained = trained._replace(learner=trained.learner.replace(task=heavy))
-    loaded = _measure(motion_of(trained, play(trained)), goal, task)
-    why = f"{len(episode.actions)} decisions, peak torque {learned.peak:.2g} N m; a quintic of {learned.settling:g} s "
-    why += f"under the same computed torque has {plan.peak:.2g} N m"
-    quantities = ("settling time, s", "overshoot, degrees", "energy, J")
-    compared = "of the learned switch, and of a planned quintic"
-    findings = [
-        unprinted(f"section {section}: {words}: {compared}", [_short(one), _short(other)], why)
-        for words, one, other in zip(quantities, learned, plan, strict=False)
-    ]
-    return [*findings, _involves_dynamics(section, learned, loaded)]
+    loaded = _measure(motion_of(trained, play(trained)), task)
+    quantity = (
+        f"section {section}: settling time, s, overshoot, degrees, energy, J, and peak torque, N m, of the switch"
+    )
+    why = f"learned in {EPISODES} episodes; it takes {len(episode.actions)} decisions"
+    return [unprinted(quantity, [*map(_short, learned)], why), _involves_dynamics(section, learned, loaded)]
 
 
 def _involves_dynamics(section: str, learned: Switch, loaded: Switch) -> Finding:
@@ -170,21 +154,9 @@ def _train(section: str, config: dict[str, Any]) -> Any:
         return best_policy(sweep(full, Path(folder) / "run", pool_size=SEEDS).path)
 
 
-def _planned(task: Any, duration: float) -> Any:
-    """The motion along a quintic that takes `duration`, s, and then holds the goal, by the task's controller."""
-    steps = task.simulator.substeps(task.period) * int(np.ceil((duration + HOLD_S) / task.period))
-    start, goal = (task.whole_body(task.grid[:, end]) for end in (0, -1))
-    path = rest_to_rest(start, goal, duration)
-    # The torque of a step brings about the motion at its end.
-    wanted = Reference(*planned(task.timestep * np.arange(1, steps + 1, dtype=np.float32), path))
-    step = lambda world, now: stepped(task.plant, world, task.controller(*now))  # noqa: E731
-    motion = jax.jit(partial(jax.lax.scan, step))(task.reset(jax.random.key(0)).world, wanted)[1]
-    return jax.tree.map(np.asarray, motion)
-
-
-def _measure(motion: Any, goal: np.ndarray, task: Any) -> Switch:
-    """The measures of a motion towards a goal, whose first posture is the task's start."""
-    start = np.asarray(task.whole_body(task.grid[:, 0]))
+def _measure(motion: Any, task: Any) -> Switch:
+    """The measures of a motion from the task's start to its goal."""
+    start, goal = (np.asarray(task.whole_body(task.grid[:, end])) for end in (0, -1))
     off = np.degrees(motion.qpos - goal)
     away = np.flatnonzero((np.abs(off) > float(task.tolerance)).any(axis=1))
     settled = 0 if len(away) == 0 else int(away[-1]) + 1

@@ -1,10 +1,6 @@
-"""Tracking errors of controllers when the model, the load or the cycle time differs from their design.
+"""Sections 5.6 and 5.7 on computed torque, which show nothing: its errors, what limits them, and its cost."""
 
-Section 5.6 says that a cycle time keeps the error from being 0, section 5.7 that computed torque follows better than
-linear controllers do; neither is shown there.
-"""
-
-from collections.abc import Callable
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -15,123 +11,115 @@ import numpy as np
 from humanoid_mjx import compute, dynamics
 from humanoid_mjx.control import Reference, servo
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
-from humanoid_mjx.report.style import SEQUENTIAL
+from humanoid_mjx.report.style import COLORS, log_axis
 from humanoid_mjx.reproduction import tracking
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits
 from humanoid_mjx.reproduction.leg_values import errors_along
 from humanoid_mjx.robot.leg import Leg
-from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 
 STEP_S = 5e-4
-CYCLES = (1, 2, 20, 100)
+CYCLES = (1, 2, 5, 10, 20, 50, 100)
 """Steps in a control cycle."""
 
-MODEL_ERROR = 0.3
-"""Largest error of every link's inertia in the controller's model, as a share."""
+MODELS = {
+    "the right model": (0.0, 0.0),
+    "a model 30 % too light": (-0.3, 0.0),
+    "a model 30 % too heavy": (0.3, 0.0),
+    "30 g at the toe": (0.0, 0.03),
+}
+"""Error of the inertias in the controller's model as a share, and a payload that the model does not have, kg."""
 
-PAYLOAD = 0.03
-"""Largest payload at the toe, kg."""
-
-CONFIG = {"grid": {"model_errors": 13, "payloads": 21}}
-"""Number of model errors, from too light to too heavy, and of payloads, from none upwards."""
-
-TRIED = ("partitioned PD", "partitioned PD holding the weight", "computed torque")
-
-WORST, BEST = 1.0, 1e-3
-"""Ends of the colours, rad."""
+LAWS = ("partitioned PD", "partitioned PD holding the weight", "computed torque")
 
 LOST = 10.0
 """Error from which a controller has lost the plan, rad."""
 
+RATE = 1e8
+"""Operations that a small processor does in a second."""
 
-@experiment("robustness-map", "Tracking over model error, payload and cycle time", CONFIG)
+
+@experiment("robustness-5.7", "Computed torque and linear controllers: errors and cost")
 def robustness(setting: Setting) -> list[Finding]:
-    """Root mean square errors over model error, payload and cycle time, as heat maps; what the text says of them."""
-    errors = _errors(*_grid(setting), setting.tell)
-    _draw(setting, errors)
-    exact, load = len(errors["computed torque"][0]) // 2, 0
-    partitioned, holding, torque = errors.values()
-    linear = np.minimum(partitioned, holding)
-    wins, follows = bool((torque <= linear)[:, exact, load].all()), np.isfinite(np.minimum(torque, linear))
-    words, (least, most) = [f"{c * STEP_S * 1e3:g}" for c in CYCLES], torque[:2, exact, load]
-    better = "computed torque with the right model follows better than the linear controllers"
-    best = f"at cycles of {', '.join(words)} ms it leaves {_list(torque[:, exact, load])} rad, partitioned PD "
-    best += f"{_list(partitioned[:, exact, load])}, holding the weight {_list(holding[:, exact, load])}; of all legs "
-    best += f"that one of them can control, computed torque is the best for {(torque < linear)[follows].mean():.0%}; "
-    best += "with the right model nothing is left that could disturb it, so only the linear controllers err"
-    cycle = f"the error is not 0 because of the cycle time: computed torque at {words[0]} and {words[1]} ms, rad"
-    alone = f"but for the cycle nothing is wrong there; a model {MODEL_ERROR:.0%} too heavy at {words[0]} ms leaves "
-    alone += f"{three_digits(torque[0, -1, load])} rad, {PAYLOAD:g} kg at the toe {three_digits(torque[0, exact, -1])} "
-    alone += f"rad; at {words[-1]} ms {np.isinf(torque[-1]).mean():.0%} of the legs are unstable"
-    claims = "better trajectory performance than linear controllers (5.7)", "close to 0, and more with the cycle time"
+    """Root mean square errors by law, cycle time and model, and what the text says of them and of the cost."""
+    setting.tell(f"{len(CYCLES) * len(MODELS)} legs under {len(LAWS)} controllers each")
+    errors = {law: _errors(law) for law in LAWS}
+    title = "The planned motion, gains of Table 5.1: root mean square error of the worst joint (no dot: unstable)"
+    with setting.figure(1, len(MODELS), (3.0, 3.2), title, legend=3, sharex=True, sharey=True) as (_, axes):
+        for panel, (number, words) in zip(axes[0], enumerate(MODELS), strict=True):
+            for (law, found), color in zip(errors.items(), COLORS, strict=False):
+                panel.plot(
+                    1e3 * STEP_S * np.array(CYCLES), found[:, number], "o-", color=color, label=law, markersize=3
+                )
+            log_axis(panel)
+            log_axis(panel, upright=True)
+            panel.set(title=words, xlabel="control cycle, ms")
+        axes[0, 0].set_ylabel("error, rad")
+    return [*judge_errors(errors), judge_cost({law: operations(law) for law in ("servo", *LAWS)})]
+
+
+def judge_errors(errors: Mapping[str, np.ndarray]) -> list[Finding]:
+    """Findings on the errors, (cycles, models) rad by law."""
+    linear, torque = np.minimum(*(errors[law] for law in LAWS[:2])), errors[LAWS[2]]
+    cycles, right, worse = [1e3 * STEP_S * cycle for cycle in CYCLES], torque[:, 0], torque[0, 1:]
+    left = " and ".join(f"{errors[law][0, 0]:.2g}" for law in LAWS[:2])
+    why = f"at a cycle of {cycles[0]:g} ms the linear ones leave {left} rad; with the right model nothing is left that "
+    why += "could disturb computed torque, so only they err"
+    better, claim = "computed torque with the right model, rad", "better performance than linear controllers (5.7)"
+    found, wins = three_digits(right[0]), (right <= linear[:, 0]).all()
+    cycle, alone = f"computed torque at cycles of {cycles[0]:g} and {cycles[1]:g} ms, rad", "with the right model; "
+    alone += f"at {cycles[-1]:g} ms {np.isinf(torque[-1]).sum()} of {len(MODELS)} legs are unstable"
+    limits, beside = (
+        f"computed torque with {', '.join(list(MODELS)[1:])}, rad",
+        f"the right model leaves {found:g} rad; ",
+    )
+    beside += f"a linear controller less in {(linear < torque)[0].sum()} of {len(MODELS)} cases"
+    grows = right[0] < right[1] < 0.01
     return [
-        check(better, claims[0], wins, wins, best, could_differ=False),
-        check(cycle, claims[1], [three_digits(least), three_digits(most)], least < most < 0.01, alone),
+        check(better, claim, found, wins, why, could_differ=False),
+        check(cycle, "close to 0, and more with the cycle time (5.6)", three_digits(right[:2]), grows, alone),
+        check(limits, "inaccurate parameters limit it (5.7)", three_digits(worse), (worse > right[0]).all(), beside),
     ]
 
 
-def _grid(setting: Setting) -> tuple[np.ndarray, np.ndarray]:
-    """Model errors, the middle one 0, and payloads, the first one 0."""
-    counts = setting.config["grid"]
-    for name, least in (("model_errors", 3), ("payloads", 2)):
-        count = counts[name]
-        if not isinstance(count, int) or count < least or (name == "model_errors" and count % 2 == 0):
-            odd = "an odd number" if name == "model_errors" else "a number"
-            raise InputError(f"grid.{name} must be {odd} of at least {least}, got {count!r}.")
-    payloads = np.linspace(0.0, PAYLOAD, counts["payloads"])
-    return np.linspace(-MODEL_ERROR, MODEL_ERROR, counts["model_errors"]), payloads
+def operations(law: str) -> int:
+    """Arithmetic operations of one torque of the leg under a law, as XLA compiles it."""
+    state = jnp.zeros(5)
+    program = jax.jit(partial(_torque, law, Leg.physical()), compiler_options=compute.compiler_options("scalars"))
+    cost: Any = program.lower(Reference(state, state, state), state, state).compile().cost_analysis()
+    return int(cost["flops"])
 
 
-def _errors(model_errors: np.ndarray, payloads: np.ndarray, tell: Callable[[str], None]) -> dict[str, np.ndarray]:
-    """(cycles, model errors, payloads) Root mean square over the motion, of the worst joint, rad, by controller."""
-    robots = [x.ravel() for x in np.meshgrid(np.array(CYCLES), model_errors, payloads, indexing="ij")]
-    arrays = [jnp.asarray(x, dtype) for x, dtype in zip(robots, (int, float, float), strict=True)]
-    arrays.append(jnp.tile(thesis_quintics().at(0.0).position, (len(robots[0]), 1)))
-    errors = {}
-    for law in TRIED:
-        tell(f"{len(robots[0]):,} legs under {law}")
-        program = jax.vmap(partial(_root_mean_squares, law))
-        found = jax.jit(program, compiler_options=compute.compiler_options("scalars"))(*arrays)
-        worst = np.asarray(found).max(axis=1).reshape(len(CYCLES), len(model_errors), len(payloads))
-        errors[law] = np.where(worst < LOST, worst, np.inf)
-    return errors
+def judge_cost(counts: Mapping[str, int]) -> Finding:
+    """The finding that computed torque is more intensive than linear controllers (5.7), from operations by law."""
+    *linear, torque = counts.values()
+    quantity = f"arithmetic operations of one torque of the leg: {', '.join(counts)}"
+    why = f"as XLA compiles them; {' and '.join(f'{torque / count:.2g}' for count in linear)} times as many. The text "
+    why += f'has no number for its "highly expensive": at {RATE:g} operations a second it is '
+    why += f"{1e6 * torque / RATE:.2g} microseconds, of a control cycle of milliseconds"
+    claim = "computationally more intensive than linear controllers (5.7)"
+    return check(quantity, claim, list(counts.values()), torque > max(linear), why)
+
+
+def _errors(law: str) -> np.ndarray:
+    """(cycles, models) Root mean square over the motion, of the worst joint, rad; infinite where the plan is lost."""
+    cases = [(cycle, *model) for cycle in CYCLES for model in MODELS.values()]
+    cycle, error, payload = (jnp.array(values) for values in zip(*cases, strict=True))
+    start = jnp.tile(thesis_quintics().at(0.0).position, (len(cases), 1))
+    program = jax.jit(jax.vmap(partial(_root_mean_squares, law)), compiler_options=compute.compiler_options("scalars"))
+    worst = np.asarray(program(cycle, error, payload, start)).max(axis=1).reshape(len(CYCLES), len(MODELS))
+    return np.where(worst < LOST, worst, np.inf)
 
 
 def _root_mean_squares(law: str, cycle: Any, error: Any, payload: Any, start: Any) -> Any:
     """(5,) Root mean square of the errors under a law, rad, by steps of a cycle, model error, payload and start."""
-    leg, kp, kd = Leg.physical(), jnp.array(thesis.KP), jnp.array(thesis.KD)
-    model = leg.scaled(1.0 + error)
-
-    def act(plan: Reference, qpos: Any, qvel: Any) -> Any:
-        return tracking.LAWS[law](model, qpos, qvel, servo(kp, kd, plan, qpos, qvel))
-
+    leg = Leg.physical()
+    act = partial(_torque, law, leg.scaled(1.0 + error))
     # Euler's step would undo a hold of one step: it too takes the dynamics from the state at the start of the step.
     # The method of fourth order loops over its stages, which makes it 25 times slower and no digit better here.
     errors = errors_along(leg.carrying(payload), act, start, STEP_S, dynamics.midpoint, cycle=cycle)
     return jnp.sqrt(jnp.mean(errors**2, axis=0))
 
 
-def _draw(setting: Setting, errors: dict[str, np.ndarray]) -> None:
-    from matplotlib.colors import LogNorm
-
-    extent = (0.0, 1e3 * PAYLOAD, -100 * MODEL_ERROR, 100 * MODEL_ERROR)
-    look = {"origin": "lower", "aspect": "auto", "extent": extent, "cmap": SEQUENTIAL + "_r"}
-    legs = sum(error.size for error in errors.values())
-    title = f"{legs:,} legs on the planned motion, gains of Table 5.1; grey: unstable"
-    with setting.figure(len(TRIED), len(CYCLES), (2.7, 2.4), title, sharex=True, sharey=True) as (fig, axes):
-        for row, words in zip(axes, TRIED, strict=True):
-            row[0].set_ylabel(f"{words}\nmodel error, %", fontsize=8)
-            for panel, error in zip(row, errors[words], strict=True):
-                panel.set_facecolor("0.8")
-                image = panel.imshow(np.where(np.isinf(error), np.nan, error), norm=LogNorm(BEST, WORST), **look)
-                panel.grid(False)
-        for top, bottom, cycle in zip(axes[0], axes[-1], CYCLES, strict=True):
-            top.set_title(f"cycle of {cycle * STEP_S * 1e3:g} ms")
-            bottom.set_xlabel("payload, g")
-        words = "root mean square error of the worst joint, rad"
-        fig.colorbar(image, ax=axes, label=words, extend="both", format="{x:g}")
-
-
-def _list(values: np.ndarray) -> str:
-    return ", ".join("no end" if np.isinf(x) else f"{x:.2g}" for x in values)
+def _torque(law: str, model: Leg, plan: Reference, qpos: Any, qvel: Any) -> Any:
+    return tracking.LAWS[law](model, qpos, qvel, servo(jnp.array(thesis.KP), jnp.array(thesis.KD), plan, qpos, qvel))

@@ -1,20 +1,31 @@
 """Section 7 B and Figures 7.1 to 7.4: the planned motion of the joints and where it takes the toe; and the
 singular postures of the gaits (chapter 8, section 4.4)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial import KDTree
 
-from humanoid_mjx import kinematics
+from humanoid_mjx import dynamics, kinematics
 from humanoid_mjx.mechanics.gaits import Gait, gait
-from humanoid_mjx.mechanics.trajectories import rest_to_rest
+from humanoid_mjx.mechanics.trajectories import rest_to_rest, thesis_quintics
 from humanoid_mjx.report.style import COLORS
-from humanoid_mjx.reproduction.findings import Finding, Setting, check, departures, experiment, in_words, listed
+from humanoid_mjx.reproduction.findings import (
+    Finding,
+    Setting,
+    check,
+    compare,
+    departures,
+    experiment,
+    in_words,
+    listed,
+)
 from humanoid_mjx.reproduction.leg_values import over, planned, plot_joints
+from humanoid_mjx.reproduction.motor_sizing import body_weight
 from humanoid_mjx.robot.leg import Leg, cylinder_inertias
 from humanoid_mjx.thesis import leg as thesis
 
@@ -24,6 +35,9 @@ TOLERANCE_M, TOLERANCE_RAD = 6e-5, 5e-5
 SAMPLES = 20_000
 HEMISPHERE = 0.1
 """By how much thickness over width may differ from a half."""
+
+GRAIN_M = 0.01
+PROPOSED = thesis.JOINT_RANGES["proposed"]
 
 LENGTHS = {
     "lengths": {f"l{i}": x for i, x in enumerate(thesis.LINK_LENGTHS, start=1)},
@@ -40,29 +54,30 @@ def planned_trajectories(setting: Setting) -> Iterator[Finding]:
     """Figure 7.1: the five quintics."""
     degree = setting.config["units"]["degree"]
     t = np.linspace(0, thesis.QUINTIC_S, 201)
-    angles = np.degrees(planned(t).position) * degree
+    angles, marks = np.degrees(planned(t).position) * degree, np.array(thesis.FIGURE_7_1)
     with setting.figure(1, 1, size=(6.0, 3.6)) as (_, axes):
-        panel = axes[0, 0]
-        plot_joints(panel, t, angles)
-        for joint, marks in enumerate(thesis.FIGURE_7_1):
-            panel.plot((0, thesis.QUINTIC_S), marks, "o", color=COLORS[joint], markersize=4, clip_on=False)
-        panel.set(xlim=(0, thesis.QUINTIC_S), xlabel="time, s", ylabel="angle, rad")
-        panel.set_title("Planned joint positions; dots: the values section 7 A prints")
-    values = {"degree": degree}, {"degree": np.pi / 180}
-    for joint, marks in enumerate(thesis.FIGURE_7_1):
-        ends, quantity = angles[[0, -1], joint], f"joint {joint + 1} starts and ends at, rad"
-        agrees, why = np.abs(ends - marks).max() < TOLERANCE_RAD, f"{in_words(*values)} rad: 3.15/180, pi rounded"
-        yield check(quantity, list(marks), np.round(ends, 5).tolist(), agrees, why, TOLERANCE_RAD, values)
+        plot_joints(axes[0, 0], t, angles, {0.0: marks[:, 0], thesis.QUINTIC_S: marks[:, 1]})
+        axes[0, 0].set(ylabel="angle, rad", title="Planned joint positions; dots: the values section 7 A prints")
+    quantity, values = "the joints start and end at, rad", ({"degree": degree}, {"degree": np.pi / 180})
+    ends, agrees = angles[[0, -1]].T, np.abs(angles[[0, -1]].T - marks).max() < TOLERANCE_RAD
+    why = f"{in_words(*values)} rad: 3.15/180, pi rounded"
+    yield check(quantity, marks.tolist(), np.round(ends, 5).tolist(), agrees, why, TOLERANCE_RAD, values)
+    jerk = 6 * np.degrees(thesis_quintics().coefficients[3])
+    quantity = "jerk at the start and the end of the plan, degrees/s^3 by joint (none, as speed is 0 there: 7 A)"
+    why = "at rest without acceleration a quintic over an angle D in a time T has the jerk 60 D / T^3"
+    yield compare(quantity, np.zeros(5), jerk, 1.0, why)
 
 
 @experiment("workspace-7b", "The toe at the start and the end of the planned motions", LENGTHS)
 def reach(setting: Setting) -> Iterator[Finding]:
     """The triples of section 7 B as the toe's place at the start and at the end."""
-    lengths = setting.config["lengths"]
+    lengths, places = setting.config["lengths"], {}
     for name in MOTIONS.values():
         ends = np.degrees(_motion(name, np.array([0.0, thesis.QUINTIC_S])))
         for when, posture, mark in zip(("start", "end"), ends, thesis.WORKSPACE[name], strict=True):
-            yield _place(f"{name}, {when}: the toe, m", posture, mark, lengths, lengths, PRINTED_LENGTHS)
+            places.setdefault((*posture, *mark), (f"{name}, {when}: the toe, m", posture, mark))
+    for quantity, posture, mark in places.values():
+        yield _place(quantity, posture, mark, lengths, lengths, PRINTED_LENGTHS)
     swapped = np.array(thesis.STRAIGHT_WALK_END)
     swapped[3:] = setting.config["straight_walk_end"]["knee"], setting.config["straight_walk_end"]["ankle"]
     mark = thesis.WORKSPACE["straight walking"][1]
@@ -87,11 +102,11 @@ def workspace(name: str, setting: Setting) -> Iterator[Finding]:
     """Figures 7.2 to 7.4: the toe's path, and all places that the moving joints reach in the ranges of Table 3.2."""
     lengths = setting.config["lengths"]
     path = _toe(lengths.values(), _motion(name, np.linspace(0, thesis.QUINTIC_S, 401)))
-    cloud = _cloud(lengths.values(), thesis.WORKSPACE_JOINTS[name])
-    _draw(setting, name, lengths.values(), path, cloud)
+    own, cloud = (_cloud(lengths.values(), name, ranges) for ranges in (thesis.QUINTIC_RANGES, PROPOSED))
+    _draw(setting, name, lengths.values(), path, own, cloud)
     yield _extents(name, path, lengths)
-    if name == "straight walking":
-        yield _hemisphere(name, cloud, lengths)
+    if name in SHAPES:
+        yield SHAPES[name](name, cloud, lengths)
 
 
 def _extents(name: str, path: np.ndarray, lengths: dict[str, float]) -> Finding:
@@ -116,35 +131,56 @@ def _hemisphere(name: str, cloud: np.ndarray, lengths: dict[str, float]) -> Find
     return check(quantity, "hemispherical in shape", found, agrees, why, HEMISPHERE, values)
 
 
-def _draw(setting: Setting, name: str, lengths: Any, path: np.ndarray, cloud: np.ndarray) -> None:
-    """Places in reach, the path and the printed ends, from the right and from behind."""
-    marks = np.array(thesis.WORKSPACE[name])
-    to_recovered = rest_to_rest(_motion(name, np.zeros(1))[0], np.radians(thesis.STRAIGHT_WALK_END), thesis.QUINTIC_S)
-    swapped = _toe(lengths, planned(np.linspace(0, thesis.QUINTIC_S, 401), to_recovered).position)
-    title = f"{name.capitalize()}: where the toe goes and could go"
-    with setting.figure(1, 2, size=(4.2, 4.4), title=title, legend=3) as (_, axes):
-        views = ((0, "x (forwards), m", "From the right"), (2, "z (sideways), m", "From behind"))
-        for panel, (across, label, view) in zip(axes[0], views, strict=True):
-            panel.plot(cloud[:, across], cloud[:, 1], ",", color="0.75")
-            panel.plot([], [], "s", color="0.75", label="in reach in the ranges of Table 3.2")
-            panel.plot(path[:, across], path[:, 1], color=COLORS[0], label="planned path of the toe")
-            if name == "straight walking":
-                words = "with knee to 45° and ankle to 120°, as recovered"
-                panel.plot(swapped[:, across], swapped[:, 1], "--", color=COLORS[2], label=words)
-            panel.plot(marks[:, across], marks[:, 1], "x", color=COLORS[1], markersize=8, label="both ends as printed")
-            panel.plot(path[0, across], path[0, 1], "o", color=COLORS[6], fillstyle="none", label="start")
-            panel.plot(thesis.LINK_LENGTHS[0] * (across == 2), 0.0, "s", color=COLORS[6], markersize=5, label="hip")
-            panel.set(xlabel=label, title=view)
-            panel.set_aspect("equal", adjustable="datalim")
-        axes[0, 0].set_ylabel("y (upwards), m")
+def _ellipsoid(name: str, cloud: np.ndarray, lengths: dict[str, float]) -> Finding:
+    """An ellipsoid, solid or hollow, is its own mirror image at its centre."""
+    centre = (cloud.min(axis=0) + cloud.max(axis=0)) / 2
+    mirrored = KDTree(cloud).query(2 * centre - cloud)[0] < GRAIN_M
+    why = f"a place counts as reached within {1e3 * GRAIN_M:g} mm of one of {SAMPLES:,} that are; an ellipsoid would "
+    why += "hold the mirror image of each of its places at its centre"
+    quantity, share = f"{name}: share of the workspace whose mirror image belongs to it", round(mirrored.mean(), 3)
+    return check(quantity, "ellipsoid in shape", share, share > 0.95, why, 0.05, (lengths, PRINTED_LENGTHS))
 
 
-def _cloud(lengths: Any, moving: Sequence[int]) -> np.ndarray:
-    """(n, 3) The toe's places, m, with these joints anywhere in the proposed ranges and the others at 0."""
-    ranges = np.radians(thesis.JOINT_RANGES["proposed"]) * np.isin(np.arange(1, 6), moving)[:, None]
+SHAPES = {"straight walking": _hemisphere, "sudden turn": _ellipsoid}
+
+
+def _draw(setting: Setting, name: str, lengths: Any, path: np.ndarray, own: np.ndarray, cloud: np.ndarray) -> None:
+    """Places in reach, the path and the printed ends, from the right, from behind, and in space with the leg."""
+    marks, black = np.array(thesis.WORKSPACE[name]), {"color": COLORS[6], "markersize": 3, "linewidth": 1}
+    curves = [(path, "-", COLORS[0], "planned path of the toe"), (marks, "x", COLORS[1], "both ends as printed")]
+    if name == "straight walking":
+        swapped = rest_to_rest(_motion(name, np.zeros(1))[0], np.radians(thesis.STRAIGHT_WALK_END), thesis.QUINTIC_S)
+        swapped = _toe(lengths, planned(np.linspace(0, thesis.QUINTIC_S, 401), swapped).position)
+        curves += [(swapped, "--", COLORS[2], "with knee to 45° and ankle to 120°, as recovered")]
+    leg, ends = Leg.from_links(list(lengths), cylinder_inertias()), _motion(name, np.array([0.0, thesis.QUINTIC_S]))
+    legs = zip(over(kinematics.frames, leg, ends)[:, :, :3, 3], ("o-", "o:"), ("start", "end"), strict=True)
+    legs = [(joints, look, f"the leg at the {when}") for joints, look, when in legs]
+    clouds = (own, "#9CCBE8", "in reach in the plan's ranges"), (cloud, "0.7", "in reach in the ranges of Table 3.2")
+    title = f"{name.capitalize()}: where the toe goes and could go; joints 1 and 2 are planned in each other's ranges"
+    views = (([0, 1], "From the right"), ([2, 1], "From behind"), ([2, 0, 1], "In space, from behind on the right"))
+    words = "x (forwards), m", "y (upwards), m", "z (sideways), m"
+    with setting.figure(1, 3, size=(4.2, 4.4), title=title, legend=3) as (fig, axes):
+        axes[0, 2].remove()
+        space = fig.add_subplot(1, 3, 3, projection="3d", elev=25, azim=-35)
+        for panel, (seen, view) in zip((*axes[0, :2], space), views, strict=True):
+            for places, color, label in clouds:
+                panel.plot(*places[:, seen].T, ".", color=color, markersize=0.5)
+                panel.plot(*[[]] * len(seen), "s", color=color, label=label)
+            for places, look, color, label in curves:
+                panel.plot(*places[:, seen].T, look, color=color, markersize=8, label=label)
+            for joints, look, label in legs:
+                panel.plot(*joints[:, seen].T, look, label=label, **black)
+            panel.set(title=view, xlabel=words[seen[0]], ylabel=words[seen[1]])
+            panel.locator_params(nbins=5)
+            panel.set_aspect("equal", adjustable="box" if panel is space else "datalim")
+
+
+def _cloud(lengths: Any, name: str, ranges: Any) -> np.ndarray:
+    """(n, 3) The toe's places, m, with the joints that move anywhere in ranges, degrees, and the others at 0."""
+    free = np.radians(ranges) * np.isin(np.arange(1, 6), thesis.WORKSPACE_JOINTS[name])[:, None]
     sample = jax.jit(kinematics.workspace, static_argnames="n")
     leg = Leg.from_links(list(lengths), cylinder_inertias())
-    return np.asarray(sample(leg, jnp.array(ranges), jax.random.key(0), n=SAMPLES))
+    return np.asarray(sample(leg, jnp.array(free), jax.random.key(0), n=SAMPLES))
 
 
 def _motion(name: str, t: np.ndarray) -> np.ndarray:
@@ -169,13 +205,36 @@ share of that at the start a posture is nearly singular."""
 
 GAITS = {"straight_walk": "walking straight, Table 4.5", "sudden_turn": "the sudden turn, Table 4.6"}
 INSTANTS = 2001
+HALF_WEIGHT = body_weight(-thesis.SCRIPT_FORCE[2]) / 2
 
 
 @experiment("finding-singularity", "Singular postures during walking")
 def singularity(setting: Setting) -> list[Finding]:
     """The singular postures of both gaits, and what the determinants of section 4.4 tell of them."""
     t = np.linspace(0.0, thesis.GAIT_TIMES_S[-1], INSTANTS)
-    return [*(_walk(gait(name, "linear"), title, t) for name, title in GAITS.items()), _rank_test(t)]
+    walks = [_walk(gait(name, "linear"), title, t) for name, title in GAITS.items()]
+    return [*walks, _rank_test(t), judge_locking(*(straight_stiffness(force) for force in (0.0, HALF_WEIGHT)))]
+
+
+def straight_stiffness(force: float) -> float:
+    """The least stiffness, N m/rad, of the straight leg without torques, which is singular, against any motion of its
+    joints; a force, N, pushes the toe towards the hip. Negative: it does not stay straight."""
+    leg, wrench = Leg.physical(), jnp.zeros(6).at[1].set(force)
+    held = jax.jacfwd(lambda q: dynamics.gravity(leg, q) - kinematics.static_torque(leg, q, wrench))(jnp.zeros(5))
+    return float(np.linalg.eigvalsh(held).min())
+
+
+def judge_locking(hanging: float, standing: float) -> Finding:
+    """The finding that a singular posture locks, from the stiffness of the straight leg, N m/rad."""
+    quantity = "the least stiffness of the straight leg without torques, N m/rad: hanging, carrying half of the body"
+    claim = "in a singular posture the structure comes to a locking state, which gives safety (4.4.1)"
+    why = f"a force along the straight leg needs no torque, whatever its size; but pushed by {HALF_WEIGHT:.1f} N it "
+    why += (
+        "buckles at any touch where the stiffness is negative, and hanging nothing holds the yaw. The rank is lost as "
+    )
+    why += "the joints can move there without the toe: a posture that is not singular holds them when the foot is held"
+    found = [round(x, 4) + 0.0 for x in (hanging, standing)]
+    return check(quantity, claim, found, min(found) >= 0, why, 0.0)
 
 
 def _walk(motion: Gait, title: str, t: np.ndarray) -> Finding:

@@ -42,14 +42,13 @@ def found(tmp_path_factory):
 
 
 def test_computed_torque_stands_only_if_it_knows_the_contacts(found):
-    blind, *pushes, gives, roll = found[1]["ground-control"]
-    assert {f.verdict for f in (blind, *pushes, gives)} == {"finding"} and blind.reproduced < 1.5
+    blind, *pushes, roll = found[1]["ground-control"]
+    assert {f.verdict for f in (blind, *pushes)} == {"finding"} and blind.reproduced < 1.5
     # A push that a body with ankles that do not roll stands, it stands as well with hips that do not.
     assert roll.verdict == "differs" and roll.reproduced[1] >= roll.reproduced[0] >= 0.3
     assert "within the contacts computed torque stands, and a servo of 6 N m/rad stands" in blind.why
     # Both are thrown over by a push that a rigid body on these feet would not stand either.
     assert all(0.1 <= taken <= 0.6 for push in pushes for taken in push.reproduced)
-    assert max(gives.reproduced) < 0.03
 
 
 def test_rolls_that_help_against_pushes_from_the_side_would_be_found():
@@ -71,7 +70,7 @@ def test_the_gaits_of_the_tables_fall_in_every_reading(found):
     assert len(printed) == 2 * 2 * 3 + 2 * 2 * 2 * 3, "signs, phases of the left leg, senses of the yaw, controllers"
     assert not [row for row in printed if "(all)" in row[5]]
     as_read = [row for row in printed if row[1].startswith("no sign reversed") and "left leg" not in row[1]]
-    off = {(row[0], row[2]): float(row[10]) for row in as_read}
+    off = {(row[0], row[2]): float(row[8]) for row in as_read}
     for table in ("Table 4.5", "Table 4.6"):
         assert off[table, "computed torque"] < 0.7 * off[table, "servo"]
     smallest = [row for row in rows if row[3] == "0.1"]
@@ -101,9 +100,9 @@ def carried(yaw, speed, steps=51):
 def test_measures_of_a_path():
     slides = carried(0.0, 0.3)
     assert not slides.fell and slides.touching.all() and slides.seconds == 0.2
-    assert slides.distance == pytest.approx(0.06) and slides.slip == pytest.approx(0.3) and slides.tracking == 0.0
+    assert slides.distance == pytest.approx(0.06)
     turns = carried(-0.5, 0.0)
-    assert turns.turned[-1] == pytest.approx(np.degrees(-0.5)) and turns.slip > 0.05
+    assert turns.turned[-1] == pytest.approx(np.degrees(-0.5))
     assert turns.distance == pytest.approx(0.0, abs=2e-3)
 
 
