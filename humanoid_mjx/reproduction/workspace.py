@@ -172,7 +172,9 @@ def _draw(setting: Setting, name: str, lengths: Any, path: np.ndarray, own: np.n
                 panel.plot(*joints[:, seen].T, look, label=label, **black)
             panel.set(title=view, xlabel=words[seen[0]], ylabel=words[seen[1]])
             panel.locator_params(nbins=5)
-            panel.set_aspect("equal", adjustable="box" if panel is space else "datalim")
+            panel.set_aspect("equal", adjustable="datalim")
+        space.set(xlim=(-0.2, 0.25), ylim=(-0.25, 0.3), zlim=(-0.3, 0.15))
+        space.set_aspect("equal", adjustable="box")
 
 
 def _cloud(lengths: Any, name: str, ranges: Any) -> np.ndarray:
