@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx import compute, control
 from humanoid_mjx.evaluation.episode import Motion, stepped
-from humanoid_mjx.mechanics import gaits, pattern_generator
+from humanoid_mjx.mechanics import gaits
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages, World
 from humanoid_mjx.report.rendering import draw
@@ -50,11 +50,6 @@ class Trial(NamedTuple):
     """One of `laws_of`."""
     motion: str = "stand"
     """`stand`, or the name of a gait."""
-    frequency: float | None = None
-    """Frequency of the pattern generator, Hz, which starts in the gait's mean posture; None plays the table as
-    printed."""
-    amplitude: float = 1.0
-    """Amplitude of the pattern generator; 1 is that of the table."""
     push: tuple[float, float] = (0.0, 0.0)
     """Impulse on the hips, forwards and to the left, N s."""
     signs: tuple[int, int, int] = (1, 1, 1)
@@ -191,11 +186,7 @@ def _plan(trial: Trial, seconds: float) -> control.Reference:
     times = physics().step_s * jnp.arange(physics().substeps(seconds) + 1)
     if trial.motion == "stand":
         return control.Reference(*jnp.zeros((3, len(times), 10)))
-    gait = gaits.gait(trial.motion)
-    if trial.frequency is None:
-        motion = _played(gait, times, trial.phase)
-    else:
-        motion = _generated(pattern_generator.Params(gait, trial.frequency, trial.amplitude), times)
+    motion = _played(gaits.gait(trial.motion), times, trial.phase)
     hip, knee, ankle = trial.signs
     leg = np.array([hip, 1, 1, knee, ankle])
     signs = np.stack([leg, leg * ([1, -1, 1, 1, 1] if trial.same_yaw else 1)])
@@ -209,12 +200,6 @@ def _played(gait: gaits.Gait, times: Float[Array, " times"], phase: str) -> Any:
         return jax.vmap(gait.both_legs)(times)
     left = 1.0 if phase == "equal" else -1.0
     return jax.tree.map(lambda x: jnp.stack([x, left * x], axis=1), jax.vmap(gait.at)(times))
-
-
-@jax.jit
-def _generated(params: pattern_generator.Params, times: Float[Array, " times"]) -> Any:
-    begin = pattern_generator.init(params)
-    return jax.vmap(lambda time: pattern_generator.step(params, begin, time)[1])(times)
 
 
 def standing(joints: Float[AnyArray, " joints"]) -> Float[np.ndarray, " nq"]:

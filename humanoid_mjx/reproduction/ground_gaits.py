@@ -1,4 +1,4 @@
-"""Section 4.8 on the ground: Tables 4.5 and 4.6 and the pattern generator on the free lower body.
+"""Section 4.8 on the ground: Tables 4.5 and 4.6 on the free lower body.
 
 The thesis plays its gaits on a leg whose torso is fixed. Here both legs carry the torso; the body starts upright with
 its lowest corner on the ground. The tables say nothing of the senses in which hip, knee and ankle count, of what the
@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed, unprinted
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment
 from humanoid_mjx.reproduction.ground import (
     LASTS_S,
     PHASES,
@@ -22,7 +22,7 @@ from humanoid_mjx.reproduction.ground import (
     play,
     standing,
 )
-from humanoid_mjx.reproduction.ground_control import CONFIG, CONTROLLERS, PAIR
+from humanoid_mjx.reproduction.ground_control import CONFIG, CONTROLLERS
 
 TABLES = {"straight_walk": "Table 4.5", "sudden_turn": "Table 4.6"}
 SECONDS, COLUMNS = 3.0, 7
@@ -35,29 +35,18 @@ SIGNS = tuple((hip, knee, ankle) for hip, knee, ankle in product((1, -1), repeat
 YAWS = {"straight_walk": (False,), "sudden_turn": (False, True)}
 """Values of `same_yaw` in the readings of each table."""
 
-FORWARDS = tuple(signs for signs in SIGNS if signs[0] == 1)
-"""Readings for the pattern generator: with the hip the other way round a body walks backwards."""
-
-HEADS = ("gait", "reading", "controller", "amplitude", "Hz", "up, s", "forwards, m", "turn that lasts, degrees")
-HEADS += ("off the plan, rad",)
-
-AMPLITUDES, FREQUENCIES = (0.1, 0.25, 0.5, 1.0), (0.625, 1.25, 2.5)
-"""Amplitudes of the pattern generator as shares of the table's angles, and frequencies, Hz; the table's own are 1 and
-1.25."""
+HEADS = ("gait", "reading", "controller", "up, s", "forwards, m", "turn that lasts, degrees", "off the plan, rad")
 
 
 @experiment("gaits-4.8", "The gaits of Tables 4.5 and 4.6 on the ground", CONFIG)
 def walking(setting: Setting) -> Iterator[Finding]:
     """Findings on walking, turning and balance."""
-    tables, generated = printed_trials(), generator_trials()
-    paths = play([*tables, *generated], SECONDS, setting.config, setting.tell)
-    played, others = ({trial: paths[trial] for trial in trials} for trials in (tables, generated))
+    played = play(printed_trials(), SECONDS, setting.config, setting.tell)
     setting.tell("balance")
     inside = {trial: balanced(path) for trial, path in played.items()}
-    setting.table(HEADS, (_row(trial, path) for trial, path in paths.items()))
+    setting.table(HEADS, (_row(trial, path) for trial, path in played.items()))
     _draw(setting, played)
     yield from on_tables(played, inside)
-    yield from on_generator(others)
 
 
 def _draw(setting: Setting, played: Mapping[Trial, Path]) -> None:
@@ -89,19 +78,6 @@ def printed_trials() -> list[Trial]:
         for phase in PHASES
         for signs in SIGNS
         for controller in CONTROLLERS
-    ]
-
-
-def generator_trials() -> list[Trial]:
-    """The trials in which the pattern generator makes the gait."""
-    return [
-        Trial(controller, gait, frequency, amplitude, signs=signs, same_yaw=same)
-        for gait in TABLES
-        for same in YAWS[gait]
-        for signs in FORWARDS
-        for controller in PAIR
-        for amplitude in AMPLITUDES
-        for frequency in FREQUENCIES
     ]
 
 
@@ -154,22 +130,6 @@ def _turns(played: Mapping[Trial, Path]) -> Finding:
     return check(quantity, "turns", round(counted[best], 1), agrees, why, TURN_DEG)
 
 
-def on_generator(others: Mapping[Trial, Path]) -> Iterator[Finding]:
-    """The findings on the generator's settings, of which nothing is printed."""
-    for gait in TABLES:
-        mine = {trial: path for trial, path in others.items() if trial.motion == gait}
-        up = {t: p for t, p in mine.items() if not p.fell}
-        walking = [t for t, p in up.items() if walks(p)]
-        furthest = max(up or mine, key=lambda t: mine[t].distance)
-        turning = max(up or mine, key=lambda t: abs(mine[t].lasting_turn))
-        quantity = f"pattern generator on {TABLES[gait]}: settings of {len(mine)} with which it walks"
-        why = f"amplitudes {listed(AMPLITUDES)}, {listed(FREQUENCIES)} Hz, {' and '.join(PAIR)}, {len(FORWARDS)} "
-        why += f"readings of knee and ankle: {len(up)} stay up for {SECONDS:g} s; the furthest goes "
-        why += f"{mine[furthest].distance:.3f} m forwards ({_setting_of(furthest)}), and the largest turn that lasts "
-        why += f"is {mine[turning].lasting_turn:.1f} degrees ({_setting_of(turning)})"
-        yield unprinted(quantity, len(walking), why)
-
-
 def walks(path: Path) -> bool:
     """True if a body stays on its feet and gets forwards by more than a step."""
     return not path.fell and path.distance > STEP_M
@@ -183,13 +143,8 @@ def reading(trial: Trial) -> str:
     return signs + yaw + ("" if trial.phase == PHASES[0] else f", left leg {trial.phase}")
 
 
-def _setting_of(trial: Trial) -> str:
-    return f"{reading(trial)}, {trial.controller}, {trial.amplitude:g} at {trial.frequency:g} Hz"
-
-
 def _row(trial: Trial, path: Path) -> list[str]:
     """A trial and its numbers as a row of the table."""
-    told = ("as printed", "") if trial.frequency is None else (f"{trial.amplitude:g}", f"{trial.frequency:g}")
     up = f"{path.seconds:g}" + ("" if path.fell else " (all)")
     numbers = f"{path.distance:.3f}", f"{path.lasting_turn:.0f}", f"{np.sqrt(np.mean(path.error**2)):.3f}"
-    return [TABLES[trial.motion], reading(trial), trial.controller, *told, up, *numbers]
+    return [TABLES[trial.motion], reading(trial), trial.controller, up, *numbers]

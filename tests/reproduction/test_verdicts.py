@@ -175,9 +175,6 @@ def test_gaits_that_walk_and_turn_are_reproduced():
 def test_going_back_is_no_walk():
     paths = walk(), walk(speed=-0.3), walk(30, 0.0)
     assert [ground_gaits.walks(path) for path in paths] == [True, False, False]
-    trials = ground_gaits.generator_trials()
-    found = next(ground_gaits.on_generator(dict.fromkeys(trials, walk()) | {trials[0]: walk(speed=-0.3)}))
-    assert found.reproduced == 95 and "goes 0.300 m forwards" in found.why
 
 
 def test_dynamics_are_involved_unless_the_mass_changes_nothing():
