@@ -244,7 +244,8 @@ def draw_greedy(panel: Any, learning: Learning, axis_name: str | None, name: str
     labels = [each.label for each in lines]
     crowded = len("".join(labels)) > 36
     panel.set_xticks(range(len(lines)), labels, rotation=45 if crowded else 0, ha="right" if crowded else "center")
-    panel.set_xlabel("after training" + "; dots: the best setting, diamonds: the mean" * (len(learning.axes) > 1))
+    words = "after training" + "; dots: the best setting, diamonds: the mean" * (len(learning.axes) > 1)
+    panel.set_xlabel(f"{words}\nlines: 95 % interval of the median, at times to one side")
     panel.set_ylabel(textwrap.fill(HEAT_MAPS[name], 28))
     return {each.label: float(np.median(each.best)) for each in lines}
 

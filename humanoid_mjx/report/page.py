@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from html import escape
@@ -124,7 +125,13 @@ def _result(
         "(5 % false alarms over all points together). Returns are undiscounted sums of rewards: where a task pays "
         "at every step, a longer episode collects more."
     )
-    return [*parts, f'<p class="note">{text(words, "span")}</p>']
+    parts.append(f'<p class="note">{text(words, "span")}</p>')
+    if axes := list(learning.axes)[:2]:
+        run, best = shlex.quote(str(path)), f"--point {points[0].point}"
+        drawn = " ".join(f"--{option} {axis}" for option, axis in zip(("x", "by"), axes, strict=False))
+        commands = f"plot {run} --y {learning.compared.policy.measure or 'success'} {drawn}", f"evaluate {run} {best}"
+        parts += [text("Next, for example:"), text("\n".join(f"humanoid-mjx {command}" for command in commands), "pre")]
+    return parts
 
 
 def curve_panels(learning: Learning, own: Sequence[Figure]) -> list[str]:
@@ -177,7 +184,7 @@ def _lines(panel: Any) -> dict[str, Any]:
 def _maps(learning: Learning, names: Sequence[str]) -> list[str]:
     ways = {"the best setting of the others": True, "the mean over the others": False}
     ways = ways if len(learning.axes) > 2 else {"all settings": False}
-    parts = [text("Means over seeds. Maps of a measure share their colours: yellow is best.")]
+    parts = [text("Success is a mean over seeds, steps a median. Maps of a measure share colours: yellow is best.")]
     for name in names:
         span = limits(learning, name)
         pictures = []

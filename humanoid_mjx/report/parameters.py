@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Num
 from scipy.special import stdtrit
 
-from humanoid_mjx.report.drawing import cell_mean, mean_known
+from humanoid_mjx.report.drawing import cell_mean
 from humanoid_mjx.report.style import COLORS, figure, is_geometric, log_axis, plt
 from humanoid_mjx.runs.curves import Learning
 from humanoid_mjx.runs.ranking import MEASURES, Judged, find_levels, short
@@ -18,11 +18,9 @@ MAX_LABELS, MAX_CELLS = 8, 60
 
 
 def _judged(learning: Learning) -> tuple[str, Float[np.ndarray, " points"]]:
-    """The measure by which policies are told apart, and for each point its mean success or its median over seeds."""
+    """The measure by which policies are told apart, and its value for each point."""
     name = learning.compared.policy.measure
-    values = learning.finals(name)
-    assert values is not None
-    return name, (np.mean if name == "greedy_success" else np.median)(values, axis=1)
+    return name, of_points(learning, name)
 
 
 def draw_points(panel: Any, learning: Learning, _: str | None, axis: str) -> dict[str, float]:
@@ -106,7 +104,8 @@ def heat_maps(path: Path, title: str, learning: Learning, name: str) -> None:
     """A panel for every two swept parameters, in a row for the mean over all others, and one for the best of these."""
     pairs, rows = list(combinations(learning.axes, 2)), ["mean"] if len(learning.axes) < 3 else ["best setting", "mean"]
     others = f"; of the other parameters the {' (above) and the '.join(rows)}" if len(rows) > 1 else ""
-    heading, span = f"{title}: mean over seeds{others}; yellow is best", limits(learning, name)
+    of = "mean" if name == "greedy_success" else "median"
+    heading, span = f"{title}: {of} over seeds{others}; yellow is best", limits(learning, name)
     with figure(path, len(rows), len(pairs), (4.2, 3.4), heading) as (fig, panels):
         for (row, of), (column, pair) in product(enumerate(rows), enumerate(pairs)):
             image = draw_map(panels[row, column], learning, pair, name, span, of != "mean")
@@ -146,10 +145,12 @@ def draw_map(
 
 
 def of_points(learning: Learning, name: str) -> Float[np.ndarray, " points"]:
-    """The mean of a final measure over the seeds of each point."""
+    """A final measure of each point over its seeds as in the table of points: the mean success, else the median."""
     values = learning.finals(name)
     assert values is not None
-    return mean_known(values.T)
+    known, found = np.isfinite(values).any(axis=1), np.full(len(values), np.nan)
+    found[known] = (np.nanmean if name == "greedy_success" else np.nanmedian)(values[known], axis=1)
+    return found
 
 
 def best_is_most(learning: Learning, name: str) -> bool:

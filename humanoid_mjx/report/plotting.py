@@ -91,9 +91,13 @@ def _read(path: Path, wanted: Sequence[str], curves: bool) -> dict[str, np.ndarr
         if name not in there and not (timed and name == TIME):
             if name in column_names(path / "summary.parquet"):
                 raise InputError(f"{path}: {name!r} is known at the end of training only; choose another --x.")
-            kind = "learning curves" if curves else "final values"
-            names = [*there, *([TIME] if timed else []), RUN]
-            raise InputError(f"{path}: there is no column {name!r} among its {kind}; {known(name, names)}.")
+            kind, axes = "learning curves" if curves else "final values", swept(read_config(path))[1]
+            names = [each for each in there if each in axes or not each.startswith(("task.", "learner."))]
+            near = known(name, [*names, *(each.rpartition(".")[2] for each in names)]).partition("known are")[0]
+            listed = ", ".join([*names, *([TIME] if timed else []), RUN])
+            raise InputError(
+                f"{path}: there is no column {name!r} in its {kind}; {near}there are {listed}, keys not swept."
+            )
     halved = {"rung"} & {*there} - {*wanted}
     table = read_table(file, [name for name in (*wanted, *halved) if name in there])
     if TIME in wanted and TIME not in table:
@@ -182,7 +186,7 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
     with figure(target, 1, 1, (6.4, 4.2), f"{', '.join(rows.runs)}: {each}{words}") as (_, panels):
         panel = panels[0, 0]
         left_out = _draw(panel, rows, across, x, y, by)
-        if others and by is None and x not in axes:
+        if others and by is None:
             left_out.append(f"One line for all values of {', '.join(others)}; --by {others[0]} tells them apart.")
         halved = [path for path in paths if "rung" in column_names(path / "results.parquet")]
         if halved and "rung" not in (x, y, by):

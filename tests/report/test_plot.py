@@ -107,7 +107,8 @@ def test_places_where_some_seeds_have_no_number_are_left_out_and_said(small, pan
     changed = table.set_column(table.column_names.index("steps"), "steps", pa.array(values))
     pq.write_table(changed, tmp_path / "run/summary.parquet")
     _, notes = plot([tmp_path / "run"], "learner.epsilon", "steps", None, tmp_path / "x.png")
-    assert notes == ["Left out for want of a number of every seed: 1 place."]
+    apart = "One line for all values of learner.learning_rate; --by learner.learning_rate tells them apart."
+    assert notes == ["Left out for want of a number of every seed: 1 place.", apart]
     np.testing.assert_allclose(panels[0].lines[0].get_xdata(), [0.1, 0.9], rtol=1e-6)
 
 
@@ -115,6 +116,7 @@ def test_what_cannot_be_drawn(small, tmp_path):
     run = small.path
     for words, given in {
         "did you mean 'learner.epsilon'": [run, "--x", "learner.epsilom"],
+        "did you mean 'epsilon'. .*learner.epsilon, learner.learning_rate,": [run, "--by", "epsln"],
         "did you mean 'return'": [run, "--y", "retrun"],
         "at the end of training only": [run, "--y", "greedy_success"],
         "holds words": [run, "--y", "task.rules", "--x", "learner.epsilon"],
