@@ -209,12 +209,10 @@ def standing(joints: Float[AnyArray, " joints"]) -> Float[np.ndarray, " nq"]:
     return qpos
 
 
-def draw_bodies(
-    setting: Setting, title: str, rows: Sequence[Sequence[tuple[str, np.ndarray]]], size: tuple[float, float]
-) -> None:
+def draw_bodies(setting: Setting, title: str, rows: Sequence[Any], size: tuple[float, float]) -> None:
     """Draw a panel for each body, rows of words and `qpos`, of a size in inches."""
     pictures = iter(draw(physics().model, np.array([qpos for row in rows for _, qpos in row])))
-    title += "\nRight leg blue, left leg orange"
+    title = f"{title}\nRight leg blue, left leg orange"
     with setting.figure(len(rows), max(map(len, rows)), size=size, title=title) as (_, axes):
         for panel in axes.flat:
             panel.set_axis_off()

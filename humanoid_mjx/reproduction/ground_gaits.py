@@ -55,18 +55,14 @@ def _draw(setting: Setting, played: Mapping[Trial, Path]) -> None:
     for gait, table in TABLES.items():
         best = max((t for t in played if t.motion == gait), key=lambda t: played[t].seconds)
         path, period = played[best], round(LASTS_S / step_s)
-        planned = {i: standing(path.qpos[i, 7:] - path.error[i]) for i in _even(min(period, len(path.qpos) - 1))}
-        played_out = {i: path.qpos[i] for i in _even(len(path.qpos) - 1)}
-        for words, bodies in ((f"{table} as planned", planned), (f"under {best.controller}", played_out)):
-            at = [f"{step_s * i:.2g} s" for i in bodies]
-            rows.append(list(zip([f"{words}: {at[0]}", *at[1:]], bodies.values(), strict=True)))
+        plan = path.qpos[:, 7:] - path.error
+        for words, motion in ((f"{table} as planned", plan[: period + 1]), (f"under {best.controller}", path.qpos)):
+            at = np.linspace(0, len(motion) - 1, COLUMNS).astype(int)
+            bodies = map(standing, motion[at]) if "planned" in words else motion[at]
+            times = [f"{words}: 0 s", *(f"{step_s * i:.2g} s" for i in at[1:])]
+            rows.append(list(zip(times, bodies, strict=True)))
     title = "A period of the gaits as planned, and on the ground up to the fall, in the reading that stands longest"
     draw_bodies(setting, title, rows, (2.2, 1.8))
-
-
-def _even(last: int) -> list[int]:
-    """Numbers of rows, evenly from the first to the last."""
-    return np.linspace(0, last, COLUMNS).astype(int).tolist()
 
 
 def printed_trials() -> list[Trial]:

@@ -67,11 +67,7 @@ def errors_along(
 
 
 def plot_joints(panel: Any, times: np.ndarray, values: np.ndarray, marks: Mapping[float, Any] | None = None) -> None:
-    """Draw over time, s, a line for each joint, values (n, 5), labelled with number and name.
-
-    Args:
-      marks: what is printed of the five joints, by the time of its dots.
-    """
+    """Draw over time, s, a labelled line for each joint, values (n, 5); and as dots printed values by their time."""
     for joint in range(5):
         panel.plot(times, values[:, joint], color=COLORS[joint], label=f"{joint + 1} {NAMES[joint]}")
         for time, printed in (marks or {}).items():

@@ -162,11 +162,13 @@ def together(setting: Setting) -> list[Finding]:
         ((words, *(f"{x:.5f}" if np.isfinite(x) else "diverges" for x in row)) for words, row in rows.items()),
     )
     nearest = min(left, key=lambda v: float(np.abs(left[v] - printed).max()))
-    agrees = bool((np.abs(left[nearest] - printed) < TOLERANCES).all())
+    possible = bool((np.abs(left[nearest] - printed) < TOLERANCES).all())
     why = f"{in_words(used, PRINTED)}: of {len(VARIANTS)} controllers the nearest ({nearest.words}) is off by up to "
     why += f"{np.abs(left[nearest] - printed).max():.2g}; control-7d.md has them all"
-    quantity, values = "errors of the five joints after 5 s under one controller, rad", (used, PRINTED)
-    found = [three_digits(x) for x in left[nearest]]
+    judged, quantity = (
+        {"values": (used, PRINTED), "possible": possible},
+        "errors of the five joints after 5 s under one",
+    )
     places = f"places after {thesis.QUINTIC_S:g} s, rad: the targets less the printed errors"
     own, at = np.array(thesis.FIGURE_7_1)[:, 1] - printed, np.array(thesis.TRACKING["end"])
     within = np.array(TOLERANCES) + 5e-4
@@ -175,7 +177,7 @@ def together(setting: Setting) -> list[Finding]:
         differ
     )
     return [
-        check(quantity, printed.tolist(), found, agrees, why, values=values, possible=agrees),
+        compare(f"{quantity} controller, rad", printed, left[nearest], np.array(TOLERANCES), why, **judged),
         compare(places, at, own, within, numbers, 4, could_differ=False),
     ]
 
@@ -260,7 +262,6 @@ class Case(NamedTuple):
     """Gains, (5,); that of the integral in 1/s^3."""
     begin: Any
     """(5,) Where the plan begins, rad; the leg begins at 0."""
-    start: Any = np.zeros(5)
 
 
 @cache
@@ -297,8 +298,8 @@ def _program(law: str) -> Callable[..., Any]:
             step_s, how = ANALOG_STEP_S, {"integrator": dynamics.runge_kutta, "cycle": None}
         elif law == "servo":
             how |= {"integrator": implicit_euler(case.kp, case.kd)}
-        errors, shown = errors_along(case.leg, act, case.start, step_s, path=path, **how), round(SHOWN_S / step_s)
-        return jnp.concatenate([case.begin[None] - case.start, errors[shown - 1 :: shown]])
+        errors, shown = errors_along(case.leg, act, 0.0 * case.begin, step_s, path=path, **how), round(SHOWN_S / step_s)
+        return jnp.concatenate([case.begin[None], errors[shown - 1 :: shown]])
 
     return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options("scalars"))
 
@@ -340,26 +341,18 @@ def remedies(setting: Setting) -> list[Finding]:
 def judge_remedies(from_zero: np.ndarray, rates: np.ndarray, gains: np.ndarray, integrals: np.ndarray) -> list[Finding]:
     """Findings on section 7 D's remedies from errors by joint, (5,) rad: the largest on a plan that begins at 0, and
     the least left at the end by any Kd, any Kp, and any Ki that was tried."""
-    span = f"of {FACTORS[0]:g} to {FACTORS[-1]:g} times Table 5.1's"
-    start = (
-        "the exact model leaves nothing (control-7d); the weight, which partitioned PD ignores, takes the joints from "
-    )
-    start += "any plan"
+    span, ki = f"of {FACTORS[0]:g} to {FACTORS[-1]:g} times Table 5.1's", f"of {SHARES[0]:g} to {SHARES[-1]:g} of Kp Kd"
+    start = "with the exact model nothing is left (control-7d); partitioned PD ignores the weight on any plan"
     both = f"the least over Kp {span}, Kd with its root: the error falls as 1 / Kp, and the largest gains are unstable "
     both += f"where the torque is held for {1e3 * STEP_S:g} ms"
     rate = f"the least over Kd {span}: what is left is the weight over Kp, which no rate changes; more damping lags"
-    term = (
-        f"the least over Ki of {SHARES[0]:g} to {SHARES[-1]:g} of Kp Kd; nothing is printed of the PID that 5.7 names"
-    )
-    zero, wanted = "joints 1 and 2: largest error on a plan that begins at the zero position, rad", [0.0] * 5
-    tuned, adjusted = (
-        "joint 2: error left by tuning the PD, rad",
-        "joints 3 to 5: error left by tuning the rate's gain, rad",
-    )
+    term = f"the least over Ki {ki}; nothing is printed of the PID that section 5.7 names"
+    zero = "joints 1 and 2: largest error on a plan that begins at the zero position, rad"
+    adjusted, none = "joints 3 to 5: error left by tuning the rate's gain, rad", np.zeros(5)
     return [
-        compare(zero, wanted[:2], from_zero[:2], OVERSHOOT_RAD, start),
-        compare(tuned, wanted[0], gains[1], TOLERANCES[1], both),
-        compare(adjusted, wanted[2:], rates[2:], TOLERANCES[2:], rate),
+        compare(zero, none[:2], from_zero[:2], OVERSHOOT_RAD, start),
+        compare("joint 2: error left by tuning the PD, rad", 0.0, gains[1], TOLERANCES[1], both),
+        compare(adjusted, none[2:], rates[2:], TOLERANCES[2:], rate),
         unprinted("error left by an integral term, rad, by joint", three_digits(integrals), term),
     ]
 

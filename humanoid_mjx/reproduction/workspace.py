@@ -37,7 +37,6 @@ HEMISPHERE = 0.1
 """By how much thickness over width may differ from a half."""
 
 GRAIN_M = 0.01
-PROPOSED = thesis.JOINT_RANGES["proposed"]
 
 LENGTHS = {
     "lengths": {f"l{i}": x for i, x in enumerate(thesis.LINK_LENGTHS, start=1)},
@@ -59,9 +58,8 @@ def planned_trajectories(setting: Setting) -> Iterator[Finding]:
         plot_joints(axes[0, 0], t, angles, {0.0: marks[:, 0], thesis.QUINTIC_S: marks[:, 1]})
         axes[0, 0].set(ylabel="angle, rad", title="Planned joint positions; dots: the values section 7 A prints")
     quantity, values = "the joints start and end at, rad", ({"degree": degree}, {"degree": np.pi / 180})
-    ends, agrees = angles[[0, -1]].T, np.abs(angles[[0, -1]].T - marks).max() < TOLERANCE_RAD
     why = f"{in_words(*values)} rad: 3.15/180, pi rounded"
-    yield check(quantity, marks.tolist(), np.round(ends, 5).tolist(), agrees, why, TOLERANCE_RAD, values)
+    yield compare(quantity, marks, angles[[0, -1]].T, TOLERANCE_RAD, why, 5, values=values)
     jerk = 6 * np.degrees(thesis_quintics().coefficients[3])
     quantity = "jerk at the start and the end of the plan, degrees/s^3 by joint (none, as speed is 0 there: 7 A)"
     why = "at rest without acceleration a quintic over an angle D in a time T has the jerk 60 D / T^3"
@@ -94,15 +92,15 @@ def _place(quantity: str, degrees: np.ndarray, mark: Any, lengths: Any, used: An
     why = f"links of {listed(1e3 * x for x in lengths.values())} mm (printed are only the script's, with which it is "
     why += f"off by {1e3 * as_printed:.0f} mm), joints at {listed(degrees + 0.0)} degrees"
     why += "".join(f", {change}" for change in departs) + f": off by {1e3 * error:.2g} mm"
-    found, agrees = np.round(place, 5).tolist(), error < TOLERANCE_M
-    return check(quantity, list(mark), found, agrees, why, TOLERANCE_M, (used, printed))
+    return compare(quantity, mark, place, TOLERANCE_M, why, 5, values=(used, printed))
 
 
 def workspace(name: str, setting: Setting) -> Iterator[Finding]:
     """Figures 7.2 to 7.4: the toe's path, and all places that the moving joints reach in the ranges of Table 3.2."""
     lengths = setting.config["lengths"]
     path = _toe(lengths.values(), _motion(name, np.linspace(0, thesis.QUINTIC_S, 401)))
-    own, cloud = (_cloud(lengths.values(), name, ranges) for ranges in (thesis.QUINTIC_RANGES, PROPOSED))
+    ranges = thesis.QUINTIC_RANGES, thesis.JOINT_RANGES["proposed"]
+    own, cloud = (_cloud(lengths.values(), name, each) for each in ranges)
     _draw(setting, name, lengths.values(), path, own, cloud)
     yield _extents(name, path, lengths)
     if name in SHAPES:
@@ -112,12 +110,10 @@ def workspace(name: str, setting: Setting) -> Iterator[Finding]:
 def _extents(name: str, path: np.ndarray, lengths: dict[str, float]) -> Finding:
     marks = np.sort(np.array(thesis.WORKSPACE[name]), axis=0)
     extent = np.stack([path.min(axis=0), path.max(axis=0)])
-    error = float(np.abs(extent - marks).max())
     quantity = f"{name}: from where to where the toe's path reaches along x, y and z, m"
     why = "the text says that the reach varies from one triple to the other; they are the path's two ends "
-    why += f"(workspace-7b), not its extents, which differ by up to {1e3 * error:.0f} mm"
-    found, values = np.round(extent, 4).tolist(), (lengths, PRINTED_LENGTHS)
-    return check(quantity, marks.tolist(), found, error < TOLERANCE_M, why, TOLERANCE_M, values)
+    why += f"(workspace-7b), not its extents, which differ by up to {1e3 * np.abs(extent - marks).max():.0f} mm"
+    return compare(quantity, marks, extent, TOLERANCE_M, why, 4, values=(lengths, PRINTED_LENGTHS))
 
 
 def _hemisphere(name: str, cloud: np.ndarray, lengths: dict[str, float]) -> Finding:
