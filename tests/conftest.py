@@ -13,6 +13,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 import hypothesis
 import jax
 import pytest
+import typecheck
 from jaxtyping import install_import_hook
 
 # Before the hook: a program's hundred thousand sums and products of numbers would take ten times as long to trace.
@@ -23,7 +24,7 @@ import humanoid_mjx.kernels.numbers  # noqa: F401
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # nor does each process that tests start compile the package
 gc.set_threshold(50_000)
-install_import_hook("humanoid_mjx", "typecheck.check")
+install_import_hook("humanoid_mjx", f"{typecheck.__name__}.check")
 
 from humanoid_mjx import cli, compute  # noqa: E402
 from humanoid_mjx.kernels import fallback  # noqa: E402

@@ -1,5 +1,33 @@
-"""beartype for the import hook: an int is a float, as PEP 484 has it."""
+"""Type checks of the import hook: beartype, with an int for a float as in PEP 484, where there is something to check."""
 
+import inspect
+import typing
+
+import jaxtyping
 from beartype import BeartypeConf, beartype
 
 check = beartype(conf=BeartypeConf(is_pep484_tower=True))
+_jaxtyped = jaxtyping.jaxtyped
+
+
+def _has_shapes(hint):
+    """Whether a type is one of jaxtyping's or holds one."""
+    return getattr(hint, "__module__", "").startswith("jaxtyping") or any(map(_has_shapes, typing.get_args(hint)))
+
+
+def jaxtyped(function=None, /, **options):
+    """`jaxtyping.jaxtyped` without its 4 microseconds a call, and half a millisecond a closure, for functions that
+    have no annotation, and with beartype alone for those whose annotations hold no shape."""
+    if function is None:
+        return lambda function: jaxtyped(function, **options)
+    if not inspect.isfunction(function):
+        return _jaxtyped(function, **options)
+    hints = function.__annotations__
+    if not hints:
+        return function
+    if any(isinstance(hint, str) or _has_shapes(hint) for hint in hints.values()):
+        return _jaxtyped(function, **options)
+    return check(function)
+
+
+jaxtyping.jaxtyped = jaxtyped
