@@ -151,11 +151,11 @@ def type_commands(markdown):
         reader.type(words)
 
 
-def sweep_shortly():
-    """Have `humanoid_mjx.sweep` train a small part of a shipped config: a page shows a sweep at full length."""
+def train_shortly():
+    """Have `humanoid_mjx` train a small part of a shipped config or of a table: a page shows them at full length."""
     import humanoid_mjx
 
-    whole = humanoid_mjx.sweep
+    whole, make_whole = humanoid_mjx.sweep, humanoid_mjx.make_learner
 
     def sweep(config, *arguments, overrides=(), **options):
         shorter = {"seeds": 1, "episodes": 20, "record": 2} if isinstance(config, str) else {}
@@ -163,12 +163,15 @@ def sweep_shortly():
         own = [f"{key}={value}" for key, value in shorter.items()]
         return whole(config, *arguments, overrides=[*others, *own], **options)
 
-    humanoid_mjx.sweep = sweep
+    def make_learner(*given, **fields):
+        return make_whole(*given, **fields | ({"episodes": 20} if fields.get("episodes", 0) > 20 else {}))
+
+    humanoid_mjx.sweep, humanoid_mjx.make_learner = sweep, make_learner
 
 
 def read(page):
     """Type all that stands on a page."""
-    sweep_shortly()
+    train_shortly()
     markdown = page.read_text(encoding="utf-8")
     found = blocks(markdown)
     for block in found:
