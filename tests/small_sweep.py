@@ -24,6 +24,15 @@ LONG = {
 }
 """Half of these runs wait before the goal and take 20 times as long as the others: a kill finds them half done."""
 
+SWITCHING = {
+    "name": "posture",
+    "task": {"name": "posture_switch", "places": 3},
+    "learner": {"name": "tabular_q", "epsilon": 0.7, "epsilon_decay": 0.95, "learning_rate": 0.3},
+    "seeds": 2,
+    "episodes": 50,
+}
+"""A sweep that learns to switch postures; two files train it, and the second finds its programs compiled."""
+
 
 def run_cli(*arguments, cwd, devices="2", **kwargs):
     environment = os.environ | {"JAX_NUM_CPU_DEVICES": devices}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from command_line import told
 from PIL import Image
+from small_sweep import SWITCHING
 
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.episode import HOLD_S, motion_of, play, robot_of, rows_of
@@ -18,8 +19,6 @@ from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.posture_switch import LEFT_SIGN
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.sweep import sweep
-
-POSTURE = {"name": "posture_switch", "places": 2, "timestep": 0.02, "max_episode_steps": 10}
 
 
 reset = jax.jit(lambda task, key: task.reset(key))
@@ -33,7 +32,7 @@ def run(path, task, **options):
 
 @pytest.fixture(scope="module")
 def switched(tmp_path_factory):
-    return run(tmp_path_factory.mktemp("play") / "run", POSTURE, seeds=4, episodes=30)
+    return sweep(SWITCHING, tmp_path_factory.mktemp("play") / "run").path
 
 
 @pytest.fixture(autouse=True)
@@ -48,9 +47,9 @@ def test_a_motion_is_that_of_the_task(switched):
     trained = best_policy(switched)
     played = play(trained)
     motion, task = motion_of(trained, played), trained.learner.task
-    decisions, steps = len(played.actions), round(task.period / POSTURE["timestep"])
-    assert played.success and decisions <= POSTURE["max_episode_steps"]
-    assert len(motion.qpos) * POSTURE["timestep"] == pytest.approx(decisions * task.period + HOLD_S)
+    decisions, steps = len(played.actions), round(task.period / task.timestep)
+    assert played.success and decisions < 20
+    assert len(motion.qpos) * task.timestep == pytest.approx(decisions * task.period + HOLD_S)
     for i in range(decisions):
         np.testing.assert_allclose(motion.qpos[(i + 1) * steps - 1], played.states[i + 1].world.qpos, atol=1e-5)
     right, left = np.split(motion.qpos, 2, axis=1)
@@ -70,7 +69,7 @@ def test_play_shows_a_changed_world(switched, tmp_path):
     def played(*more):
         return " ".join(told("play", switched, "--out", tmp_path / "play.png", *more).split())
 
-    assert "succeeds in 3 decisions" in played()
+    assert "succeeds in 4 decisions" in played()
     assert "does not succeed in 1 decisions" in played("--set", "task.max_episode_steps=1")
     with pytest.raises(InputError, match="a policy stays as it is"):
         played("--set", "learner.epsilon=0.1")

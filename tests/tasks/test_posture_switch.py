@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from small_sweep import SWITCHING
 from stepping import arrays, reset, step
 
 from humanoid_mjx import make_task, sweep
@@ -76,14 +77,7 @@ def test_another_physics_carries_out_the_same_decisions():
 
 
 def test_a_sweep_learns_to_switch(tmp_path):
-    config = {
-        "name": "posture",
-        "task": {"name": "posture_switch", "places": 3},
-        "learner": {"name": "tabular_q", "epsilon": 0.7, "epsilon_decay": 0.95, "learning_rate": 0.3},
-        "seeds": 2,
-        "episodes": 50,
-    }
-    summary = sweep(config, tmp_path / "run").summary
+    summary = sweep(SWITCHING, tmp_path / "run").summary
     assert summary["greedy_success"].mean() == 1.0
     assert summary["greedy_steps"].max() < 20
 
