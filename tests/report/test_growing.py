@@ -23,7 +23,7 @@ SMALL = CONFIG | {"sweep": {"axes": {"learner.epsilon": [0.2, 0.6]}}}
 
 def test_the_page_grows_and_ends_as_the_report(tmp_path, monkeypatch):
     monkeypatch.setattr(chunks, "CURVES_EVERY_S", 0.0)
-    monkeypatch.setattr(pool, "MAX_STEPS", 64)
+    monkeypatch.setattr(pool, "MAX_STEPS", 256)
     growing, known, pages = Growing(Reporter(), browse=False), [], []
     grow = Curves.grow
 

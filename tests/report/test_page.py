@@ -72,8 +72,12 @@ def swept(tmp_path_factory):
     ).path
 
 
-def test_a_run_is_told_from_beginning_to_end(swept):
-    html = report(swept)
+@pytest.fixture(scope="module")
+def html(swept):
+    return report(swept)
+
+
+def test_a_run_is_told_from_beginning_to_end(swept, html):
     assert_nothing_gets_in(html)
     for words in ("4 points, 3 seeds each, 40 episodes a run", "All 4 points, best first", "Save as tiny.yaml"):
         assert words in html
@@ -100,7 +104,8 @@ def test_a_run_is_told_from_beginning_to_end(swept):
         ("main; reboot", "pip install humanoid-mjx==0.1.0 jax==1.0"),
     ],
 )
-def test_a_page_says_which_code_to_run_again(swept, tmp_path, commit, commands):
+def test_a_page_says_which_code_to_run_again(swept, tmp_path, monkeypatch, commit, commands):
+    monkeypatch.setattr("humanoid_mjx.report.page._row", lambda *_: [])  # no figures, which take seconds
     folder = tmp_path / "run"
     shutil.copytree(swept, folder)
     versions = {"humanoid-mjx": "0.1.0", "jax": "1.0"}
@@ -110,8 +115,7 @@ def test_a_page_says_which_code_to_run_again(swept, tmp_path, commit, commands):
     assert ("Files differed from that commit" in html) == str(commit).endswith("-dirty")
 
 
-def test_the_config_that_a_page_offers_runs_the_same_sweep(swept, tmp_path):
-    html = report(swept)
+def test_the_config_that_a_page_offers_runs_the_same_sweep(swept, html, tmp_path):
     (address,) = [attrs["href"] for _, attrs in Parts(html).tags if attrs.get("download") == "tiny.yaml"]
     (tmp_path / "tiny.yaml").write_bytes(base64.b64decode(address.partition("base64,")[2]))
     again = sweep(str(tmp_path / "tiny.yaml"), tmp_path / "again").path
