@@ -9,7 +9,8 @@ from humanoid_mjx.robot.holding import in_words, tipping
 
 
 def height_after(robot, factor, seconds):
-    """Height of the torso, in units of that at home, after a while on a servo so many times as stiff."""
+    """Height of the torso, in units of that at home, after a while on a servo so many times as stiff, or when it lies
+    half as high."""
     model = robot.model
     data, (stiffness, damping) = mujoco.MjData(model), robot.servo
     joints = robot.driven
@@ -17,7 +18,7 @@ def height_after(robot, factor, seconds):
     data.qpos[2], data.qpos[places] = robot.start_height, robot.posture
     data.qvel[4] = 0.02  # a little push ahead
     torque = np.empty(model.nu)
-    while data.time < seconds:
+    while data.time < seconds and data.qpos[2] > 0.5 * robot.start_height:
         torque[:] = factor * stiffness * (robot.posture - data.qpos[places]) - damping * data.qvel[dofs]
         data.ctrl[:] = np.clip(torque, -robot.torque_limits, robot.torque_limits)
         mujoco.mj_step(model, data)
