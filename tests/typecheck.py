@@ -1,4 +1,4 @@
-"""Type checks of the import hook: beartype, with an int for a float as in PEP 484, where there is something to check."""
+"""Type checks of the import hook: beartype, with an int for a float as in PEP 484, where there is a type to check."""
 
 import inspect
 import typing

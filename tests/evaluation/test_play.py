@@ -20,7 +20,6 @@ from humanoid_mjx.tasks.posture_switch import LEFT_SIGN
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.sweep import sweep
 
-
 reset = jax.jit(lambda task, key: task.reset(key))
 step = jax.jit(lambda task, *args: task.step(*args))
 
