@@ -10,9 +10,11 @@ check = beartype(conf=BeartypeConf(is_pep484_tower=True))
 _jaxtyped = jaxtyping.jaxtyped
 
 
-def _has_shapes(hint):
-    """Whether a type is one of jaxtyping's or holds one."""
-    return getattr(hint, "__module__", "").startswith("jaxtyping") or any(map(_has_shapes, typing.get_args(hint)))
+def _may_have_shapes(hint):
+    """Whether a type is one of jaxtyping's or holds one, or a name that stands for a type."""
+    if isinstance(hint, str | typing.ForwardRef) or getattr(hint, "__module__", "").startswith("jaxtyping"):
+        return True
+    return any(map(_may_have_shapes, typing.get_args(hint)))
 
 
 def jaxtyped(function=None, /, **options):
@@ -25,7 +27,7 @@ def jaxtyped(function=None, /, **options):
     hints = function.__annotations__
     if not hints:
         return function
-    if any(isinstance(hint, str) or _has_shapes(hint) for hint in hints.values()):
+    if any(map(_may_have_shapes, hints.values())):
         return _jaxtyped(function, **options)
     return check(function)
 
