@@ -201,24 +201,6 @@ def test_it_walks_as_the_browser_says(walking):
     live.stage.hands.pace = 1.0
 
 
-def test_the_first_push_does_not_fell_it(walking):
-    live, window = walking.live, walking.server.shown
-    live.stage.hands.pace = 10.0
-    assert walking.tell({"episode": 1}) == 204
-    for speed in (0.0, 0.5):
-        assert walking.tell({"told": {"forward, m/s": speed}}) == 204
-        walking.until(lambda speed=speed: abs(live.stage.bodies[0].speeds[0] - speed) < 0.1)
-        before = live.episodes.tolist()
-        for _ in range(3):
-            assert walking.tell({"push": window.scales["push"].now}) == 204
-            walking.until(lambda: not live.stage.bodies[0].shoves)  # it has begun
-            begun = live.stage.time
-            walking.until(lambda begun=begun: live.stage.time > begun + 1.0)
-        assert live.episodes.tolist() == before and live.stage.bodies[0].ended is None
-    assert walking.tell({"told": {"forward, m/s": 0.0}}) == 204
-    live.stage.hands.pace = 1.0
-
-
 @pytest.mark.parametrize("name", ["stand", "walk", "walk_sturdy", "walk_dog", "walk_humanoid"])
 def test_the_first_push_is_one_of_the_training(name):
     live = Live(find_policy(name))
