@@ -41,6 +41,10 @@ class Rung(NamedTuple):
     """Number of points that train."""
 
 
+def _first_policy(learner: Learner) -> Any:
+    return learner.policy(learner.init(rng.key(0)))
+
+
 @dataclass(frozen=True, eq=False)
 class Group:
     """Sweep points whose learners share one structure, and so one compiled program."""
@@ -84,7 +88,7 @@ class Group:
     @property
     def policy(self) -> Any:
         """The shapes of what one run learns. `one_run` has them, too, but traces a step of training: seconds."""
-        return jax.eval_shape(lambda learner: learner.policy(learner.init(rng.key(0))), self.one_learner)
+        return jax.eval_shape(_first_policy, self.one_learner)  # which jax traces once for all groups of a structure
 
     def learner(self, row: int = 0) -> Learner:
         """The learner of one of the points, its traced values as arrays."""
