@@ -10,10 +10,11 @@ import pytest
 from humanoid_mjx import compute
 from humanoid_mjx.compute import limits
 from humanoid_mjx.config import load
+from humanoid_mjx.kernels.worlds import one_kernel
 from humanoid_mjx.physics import tree
 from humanoid_mjx.training.cost import training_bytes
 from humanoid_mjx.training.plan import make_plan
-from humanoid_mjx.training.programs import programs_of
+from humanoid_mjx.training.programs import programs, programs_of
 
 SMALL = ["learner.envs=64", "learner.evaluation_envs=64", "learner.minibatches=4", "total_steps=100000"]
 CONFIGS = {"joint1": ["seeds=2", "episodes=10"], "leg_reach": ["seeds=2", *SMALL], "walk": ["seeds=2", *SMALL]}
@@ -22,6 +23,20 @@ KERNELS = {"joint1": {"advance"}, "leg_reach": set(), "walk": {"advance", "finis
 
 GPU_INFO = "jax._src.pallas.triton.gpu_info"
 """Where jax from 0.11 on looks up the GPU that Triton compiles for."""
+
+
+@pytest.fixture(autouse=True)
+def traced_for_gpus_alone():
+    """Neither what other tests traced for a CPU is found here, nor what is traced here by others."""
+    _forget()
+    yield
+    _forget()
+
+
+def _forget():
+    for cached in programs, one_kernel:
+        cached.cache_clear()
+    jax.clear_caches()
 
 
 @pytest.mark.parametrize("config", CONFIGS)
