@@ -2,8 +2,8 @@
 """Robots on the ground, a servo asked at every step: their states, and programs that time a physics.
 
 The torso is free, and the servo of the task `stand` drives the joints at its time step of 4 ms. Robots that stand hold
-the task's posture. Those that move are thrown about as in a training: each has been pushed and has followed random
-set-points, from none to `MOVES` of them, and mostly lies on the ground; native MuJoCo makes these states.
+the task's posture. Those that move are thrown about: each has been pushed and has followed random set-points, from
+none to `MOVES` of them, and mostly lies on the ground; native MuJoCo makes these states.
 """
 
 from collections.abc import Callable

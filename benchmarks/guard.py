@@ -7,7 +7,7 @@
                        the same
     compile            XLA's share of the same, against compiling such a program
     tree               the lower body on the ground, standing, against native MuJoCo
-    moving             the same of bodies that are thrown about as in a training
+    moving             the same of bodies that are thrown about
     training           updates of `walk_cpu`, learning and all, against the physics of native MuJoCo alone
 
 A ratio says how many times as fast its subject is as its reference, the work of both counted in the same unit; larger

@@ -1,8 +1,8 @@
 """The tables of a run folder, derived from its finished blocks."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,19 +47,22 @@ def write_tables(folder: RunFolder, labels: Labels) -> None:
     size = max(1, ROWS // labels.places.shape[1])
     parts = [{name: array[i : i + size] for name, array in arrays.items()} for i in range(0, len(arrays["seed"]), size)]
     for name in ("results", "summary", "timing"):
-        with folder.writing(f"{name}.parquet") as path, ExitStack() as opened:
-            writer = None
-            for part in parts:
-                try:
-                    table = pa.table(_columns(name, labels, part)).replace_schema_metadata({"config": folder.digest})
-                except (LookupError, ValueError, pa.ArrowException) as error:
-                    raise InputError(
-                        f"{folder.path / 'checkpoint'}: what it holds does not fit this training."
-                    ) from error
-                if writer is None:
-                    made = pq.ParquetWriter(path, table.schema, compression="zstd", write_page_checksum=True)
-                    writer = opened.enter_context(made)
+        made = (_table(folder, name, labels, part) for part in parts)
+        first = next(made)
+        with (
+            folder.writing(f"{name}.parquet") as path,
+            pq.ParquetWriter(path, first.schema, compression="zstd", write_page_checksum=True) as writer,
+        ):
+            for table in chain([first], made):
                 writer.write_table(table)
+
+
+def _table(folder: RunFolder, name: str, labels: Labels, arrays: dict[str, np.ndarray]) -> pa.Table:
+    """A table of some runs."""
+    try:
+        return pa.table(_columns(name, labels, arrays)).replace_schema_metadata({"config": folder.digest})
+    except (LookupError, ValueError, pa.ArrowException) as error:
+        raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.") from error
 
 
 def _columns(table: str, labels: Labels, arrays: dict[str, np.ndarray]) -> dict[str, Any]:

@@ -53,15 +53,15 @@ def test_a_rung_waits_for_the_runs_that_decide_which_points_train(tmp_path):
 
 
 def submitted(config, jobs, said):
-    """Submit a sweep as arrays of local jobs, wait for them, and return its run folder."""
+    """Submit a sweep of two rungs as arrays of so many local jobs, wait for them, and return its run folder."""
     code, out, err = said("sweep", config, "--slurm", "cluster=local", "--slurm", f"jobs={jobs}")
     run = Path("runs/small")
-    assert code == 0 and "jobs (" in out and f"what they print is in {run / 'slurm'}" in out, err
+    assert code == 0 and out.startswith(f"{2 * jobs} jobs (") and f"what they print is in {run / 'slurm'}" in out, err
     pickles = [*run.glob("slurm/*_submitted.pkl")]
     for pickle in pickles:
         os.waitpid(int(pickle.name.partition("_")[0]), 0)
     logs = "".join(path.read_text() for path in run.glob("slurm/*log*"))
-    assert logs.count("Job completed successfully") == len(pickles), logs
+    assert logs.count("Job completed successfully") == len(pickles) == 2 * jobs + 1, logs
     return run
 
 
