@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
@@ -203,7 +204,7 @@ class Work:
         self.left = [run for run in runs if run not in stored.finished]
         self.states = stored.states(key) if self.left else []
         self.watched = stored.watched
-        self.stopped = threading.Event()
+        self.stopped, self.given_up = threading.Event(), False
         self._events: SimpleQueue[Event | BaseException] = SimpleQueue()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -215,7 +216,7 @@ class Work:
             try:
                 event = self._events.get(timeout=max(due - time.monotonic(), 0.0))
             except Empty:
-                if not self._thread.is_alive() and self._events.empty():  # stopped
+                if self.given_up or (not self._thread.is_alive() and self._events.empty()):  # stopped
                     return
                 due = time.monotonic() + every_s
                 if pool := self.pool:
@@ -237,9 +238,11 @@ class Work:
         if pool and self._thread.is_alive() and _compiles(pool) and pool.busy.any():
             self._keep(pool)
         events: list[Event] = []
-        while not self._events.empty():
-            if not isinstance(event := self._events.get(), BaseException):
-                events.append(event)
+        with suppress(Empty):  # on a worker `events` may take some at the same time
+            while True:
+                if not isinstance(event := self._events.get_nowait(), BaseException):
+                    events.append(event)
+        self.given_up = True
         return events
 
     def _run(self) -> None:

@@ -108,6 +108,8 @@ class Worker:
                 events = work.events(given.look_s)
                 next(events)  # a note on how many train side by side
                 yield from events
+                if work.stopped.is_set():
+                    return
         except InputError as error:
             yield Refused(str(error))
         except Exception as error:
@@ -254,10 +256,11 @@ class OnRay:
         promises = [worker.stop.remote() for worker, _, _ in self.busy.values()]
         if not promises:
             return
-        ready, _ = self.ray.wait(promises, num_returns=len(promises), timeout=chunks.LEAVE_AFTER_S + LOOK_EVERY_S)
-        for stream in [*self.busy]:  # what was sent before
+        deadline = time.monotonic() + chunks.LEAVE_AFTER_S + 2 * LOOK_EVERY_S
+        ready, _ = self.ray.wait(promises, num_returns=len(promises), timeout=deadline - time.monotonic())
+        for stream in [*self.busy]:  # what their streams had taken before, to the end of each
             with suppress(InputError):
-                while stream in self.busy and self.ray.wait([stream], timeout=0)[0]:
+                while stream in self.busy and self.ray.wait([stream], timeout=max(deadline - time.monotonic(), 0))[0]:
                     self._hear(stream, desk)
         for promise in ready:
             with suppress(self.ray.exceptions.RayError):
