@@ -86,34 +86,38 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in a scan: a thread for each device, blocks that fit the cache of a CPU."""
     learner = own_learner()
     options = compute.compiler_options(learner.task.arithmetic, learner.program, every_device=True)
-    train = jax.jit(jax.vmap(by_scan, in_axes=(0, 0, None)), compiler_options=options)
+    train = jax.jit(jax.vmap(by_scan, in_axes=(0, 0, None)), donate_argnums=1, compiler_options=options)
     return _shared_out(learner, epsilon, steps, train, CPU_BLOCK if jax.default_backend() == "cpu" else None)
 
 
 def fused(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in one kernel."""
     by_kernel = jax.vmap(TRAIN, in_axes=(0, 0, None)) if jax.default_backend() == "cpu" else gpu_kernel.advance
-    return _shared_out(own_learner(), epsilon, steps, jax.jit(by_kernel))
+    return _shared_out(own_learner(), epsilon, steps, jax.jit(by_kernel, donate_argnums=1))
 
 
 def _shared_out(
     learner: TabularQ, epsilon: np.ndarray, steps: int, train: Callable[..., Any], block: int | None = None
 ) -> Made:
     """Agents in equal shares on all devices, in blocks of about `block` where it is given."""
-    first = jax.jit(jax.vmap(begin))
+    first, episodes = jax.jit(jax.vmap(begin)), jax.jit(lambda state: state.carry.agents.episode.sum())
 
-    def start(device: Any, share: np.ndarray) -> tuple[Any, Any, int]:
+    def start(device: Any, share: np.ndarray) -> tuple[Any, list[Any]]:
         learners = jax.tree.map(lambda x: np.full(len(share), x, np.result_type(np.float32, x)), learner)
         learners = jax.device_put(learners.replace(epsilon=share), device)
         keys = jax.device_put(jax.random.split(rng.key(device.id), len(share)), device)
-        return learners, first(learners, keys), steps
+        return learners, [first(learners, keys)]
+
+    def go_on(learners: Any, state: list[Any]) -> jax.Array:
+        """Train on from where the last call ended; as in a sweep, states change in their place."""
+        state[0] = train(learners, state[0], steps)
+        return episodes(state[0])
 
     devices = jax.local_devices()[: len(epsilon)]
     blocks = max(1, len(epsilon) // (block * len(devices))) if block else 1
     shares = np.array_split(epsilon, len(devices) * blocks)
     states = [[start(device, share) for share in shares[i :: len(devices)]] for i, device in enumerate(devices)]
-    call = on_devices(train, states)
-    return Made(call, lambda done: sum(float(state.carry.agents.episode.sum()) for mine in done for state in mine))
+    return Made(on_devices(go_on, states), lambda done: sum(float(share) for mine in done for share in mine))
 
 
 SUBJECTS: dict[str, Callable[..., Made]] = {"scan": scan, "fused": fused}

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 @custom_vmap
 def add_at(array: Float[Array, "rows ..."], index: Int[Array, "..."], values: Float[Array, "..."]) -> Array:
     """`array.at[index].add(values)`, of one row or several. All must be there."""
-    return array.at[index].add(values, mode="promise_in_bounds")
+    return array.at[index].add(values, mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 @add_at.def_vmap
@@ -33,4 +33,5 @@ def _(runs: int, batched: list[bool], *args: Any) -> tuple[Array, bool]:
         # In one kernel with the additions a GPU would read what they come from, and copy the array for it first.
         place, values = jax.lax.optimization_barrier((place, values))
     flat = array.reshape(runs * rows, *array.shape[2:])
-    return flat.at[place].add(values, mode="promise_in_bounds", unique_indices=True).reshape(array.shape), True
+    flat = flat.at[place].add(values, mode="promise_in_bounds", unique_indices=True, wrap_negative_indices=False)
+    return flat.reshape(array.shape), True

@@ -56,7 +56,7 @@ class Code:
     label: str = "entry"
     """The block that the next instruction belongs to."""
     declared: set[str] = field(default_factory=set)
-    regions: dict[int, int] = field(default_factory=dict)
+    regions: dict[int | str, int] = field(default_factory=dict)
     """Words of memory by number."""
     tables: dict[tuple[int, ...], int] = field(default_factory=dict)
 

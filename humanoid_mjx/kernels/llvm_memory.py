@@ -1,6 +1,8 @@
 """Memory of each world in LLVM's code: primitives of jax for traced functions, and the code that they become."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import jax.numpy as jnp
@@ -111,12 +113,57 @@ def _written(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
 
 def _added(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
     """Products are rounded before they are added, as by XLA."""
+    if len(args) > 3 and isinstance(params["region"], str):
+        return _added_seldom(code, params, replace(args[1], name=code.vector(args[1]), alike=False), args[2:])
     for word, change in enumerate(args[2:], params["word"]):
         address = _address(code, params | {"word": word}, args[1:2])
         old = _loaded(code, address, change.dtype, WIDTH)
         add = "fadd" if change.dtype.kind == "f" else "add"
         new = code.value(f"{add} {old.type} {old.name}, {code.vector(change)}")
         _store(code, Value(new, change.dtype, False), address)
+    return known(0, np.int32)
+
+
+def _added_seldom(code: Code, params: dict[str, Any], place: Value, changes: list[Value]) -> Value:
+    """Add words that follow each other in those worlds alone where one of them is not 0, world by world.
+
+    In most steps there is none: what a step adds to a learning curve is 0 unless it ends an episode.
+    """
+    number, worlds, flags = next(code.numbers), f"i{WIDTH}", type_of(bool, False)
+    vectors = [(type_of(each.dtype, False), code.vector(each)) for each in changes]
+    some = [
+        code.value(f"{'fcmp une' if 'float' in kind else 'icmp ne'} {kind} {name}, zeroinitializer")
+        for kind, name in vectors
+    ]
+    some = reduce(lambda one, two: code.value(f"or {flags} {one}, {two}"), some)
+    some = code.value(f"bitcast {flags} {some} to {worlds}")
+    code.add(f"br i1 {code.value(f'icmp ne {worlds} {some}, 0')}, label %some{number}, label %none{number}")
+    code.begin(f"some{number}")
+    lanes = ", ".join(f"i32 {lane * params['words'] + params['word']}" for lane in range(WIDTH))
+    index = place.type, code.value(f"add {place.type} {place.name}, <{lanes}>")
+    scratch = f"_{number}"
+    code.regions[scratch] = 1 + len(changes)
+    for word, (kind, name) in enumerate([index, *vectors]):
+        at = code.value(f"getelementptr i32, ptr %region{scratch}, i32 {WIDTH * word}")
+        code.add(f"store {kind} {name}, ptr {at}, align {4 * WIDTH}")
+    code.add(f"br label %each{number}")
+    code.begin(f"each{number}")
+    left, rest = f"%left{number}", f"%rest{number}"
+    code.add(f"{left} = phi {worlds} [ {some}, %some{number} ], [ {rest}, %each{number} ]")
+    world = code.value(f"zext {worlds} {code.call(worlds, f'cttz.{worlds}', (worlds, left), ('i1', 'true'))} to i32")
+
+    def of_world(word: int, kind: str) -> str:
+        at = f"getelementptr i32, ptr %region{scratch}, i32 {code.value(f'add i32 {world}, {WIDTH * word}')}"
+        return code.value(f"load {kind}, ptr {code.value(at)}, align 4")
+
+    first = code.value(f"getelementptr i32, ptr %{params['region']}, i32 {of_world(0, 'i32')}")
+    for word, change in enumerate(changes):
+        at, kind = code.value(f"getelementptr i32, ptr {first}, i32 {word}"), type_of(change.dtype, True)
+        old, add = code.value(f"load {kind}, ptr {at}, align 4"), "fadd" if kind == "float" else "add"
+        code.add(f"store {kind} {code.value(f'{add} {kind} {old}, {of_world(1 + word, kind)}')}, ptr {at}, align 4")
+    code.add(f"{rest} = and {worlds} {left}, {code.value(f'sub {worlds} {left}, 1')}")
+    code.add(f"br i1 {code.value(f'icmp ne {worlds} {rest}, 0')}, label %each{number}, label %none{number}")
+    code.begin(f"none{number}")
     return known(0, np.int32)
 
 

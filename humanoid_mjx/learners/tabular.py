@@ -420,7 +420,7 @@ class TabularQ(Learner):
 
 def _row(q_table: QTable, row: IntScalar) -> QRow:
     """The values of one row as scalars: a maximum over them compiles to arithmetic, over an array to a slow loop."""
-    return tuple(q_table.at[row].get(mode="promise_in_bounds"))
+    return tuple(q_table.at[row].get(mode="promise_in_bounds", wrap_negative_indices=False))
 
 
 def _add(q_table: QTable, update: Update, change: Float[Array, "..."]) -> QTable:

@@ -18,6 +18,7 @@ from humanoid_mjx.kernels import gpu_kernel
 from humanoid_mjx.kernels.elementwise import NotElementwise
 from humanoid_mjx.kernels.memory import THREADS
 from humanoid_mjx.kernels.signature import called, signature_of_one
+from humanoid_mjx.kernels.worlds import kernel, why_not
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.training import fused
 from humanoid_mjx.training.program import begin, train
@@ -85,6 +86,26 @@ def test_kernel_equals_scan_in_chunks_and_beyond_the_end_of_training(case, back_
             wanted, got = jax.random.key_data(wanted), jax.random.key_data(got)
         assert wanted.dtype == got.dtype
         np.testing.assert_array_equal(got, wanted)
+
+
+def test_a_record_gets_in_each_world_what_is_not_zero():
+    """A kernel of a CPU skips rows of zeros; sums with what is not finite, or with one number in a row, are not."""
+
+    def count(record, values, place):
+        def step(i, record):
+            value = values[i]
+            row = jnp.stack([value, jnp.where(value > 0, 2.0, 0.0), jnp.where(i == 3, 1.0, 0.0)])
+            return record.at[(place + i) % 5].add(row, mode="promise_in_bounds")
+
+        return jax.lax.fori_loop(0, 40, step, record)
+
+    worlds = 37
+    values = np.random.default_rng(0).choice([0, 0, 0, -0.0, 1.5, -3, np.inf, np.nan], (worlds, 40)).astype(np.float32)
+    values[:, 6:20] = 0  # in some steps all worlds add nothing
+    given = np.zeros((worlds, 5, 3), np.float32), values, np.arange(worlds, dtype=np.int32)
+    assert why_not(count, given, (True, True, True)) is None
+    found = jax.jit(jax.vmap(kernel(count)))(*given)
+    np.testing.assert_array_equal(found, jax.jit(jax.vmap(count))(*given))
 
 
 @pytest.mark.parametrize(
