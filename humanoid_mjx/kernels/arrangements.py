@@ -69,11 +69,13 @@ def _unstack(params: dict[str, Any], array: np.ndarray) -> list[np.ndarray]:
 ARRANGEMENTS: dict[str, Callable[..., list[np.ndarray]]] = {
     "broadcast_in_dim": _broadcast_in_dim,
     "concatenate": lambda params, *arrays: [np.concatenate(arrays, axis=params["dimension"])],
+    "copy": lambda params, array: [array],
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
     "iota": _iota,
     "reshape": lambda params, array: [array.reshape(params["new_sizes"])],
     "slice": _slice,
+    "split": lambda params, array: np.split(array, np.cumsum(params["sizes"])[:-1], axis=params["axis"]),
     "squeeze": lambda params, array: [array.squeeze(tuple(params["dimensions"]))],
     "stack": lambda params, *arrays: [np.stack(arrays, axis=params["axis"])],
     "transpose": lambda params, array: [array.transpose(params["permutation"])],

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +15,7 @@ from humanoid_mjx.kernels.angles import ANGLES
 from humanoid_mjx.kernels.memory import THREADS
 from humanoid_mjx.kernels.primitives import ELEMENTWISE
 
-ARITHMETIC = ELEMENTWISE | ANGLES.keys() | {"atan2", "bitcast_convert_type", "pow", "rsqrt", "tan"}
+ARITHMETIC = ELEMENTWISE | ANGLES.keys() | {"atan2", "bitcast_convert_type", "erf_inv", "pow", "rsqrt", "tan"}
 """Primitives that act on each element alone."""
 
 
@@ -104,6 +105,8 @@ def computed(
         return found
     if name == "round":
         return _rounded(params, vector(args[0]))
+    if name == "erf_inv":
+        return _inverse_of_erf(vector(args[0]))
     if all(np.ndim(arg) == 0 for arg in args):  # the same in all worlds
         return bind(*map(jnp.asarray, args), **params)
     if name in ANGLES:
@@ -157,6 +160,21 @@ def _rounded(params: dict[str, Any], x: Array) -> Array:
         raise NotImplementedError("threads round to even numbers")
     whole = 1.5 * 2**23  # floats of this size have no fraction
     return jnp.where(jnp.abs(x) < 2**22, (x + whole) - whole, x)
+
+
+NEAR_ERF = 2.81022636e-8, 3.43273939e-7, -3.5233877e-6, -4.39150654e-6, 2.1858087e-4, -1.25372503e-3, -4.17768164e-3
+NEAR_ERF += 0.246640727, 1.50140941
+FAR_ERF = -2.00214257e-4, 1.00950558e-4, 1.34934322e-3, -3.67342844e-3, 5.73950773e-3, -7.6224613e-3, 9.43887047e-3
+FAR_ERF += 1.00167406, 2.83297682
+"""Coefficients of M. Giles, "Approximating the erfinv function" (2011), for single precision."""
+
+
+def _inverse_of_erf(x: Array) -> Array:
+    """The inverse of the error function, from which `jax.random.normal` makes its numbers."""
+    way = -jnp.log((1.0 - x) * (1.0 + x))
+    near = reduce(lambda found, term: found * (way - 2.5) + term, NEAR_ERF, jnp.zeros_like(x))
+    far = reduce(lambda found, term: found * (jnp.sqrt(way) - 3.0) + term, FAR_ERF, jnp.zeros_like(x))
+    return x * jnp.where(jnp.abs(x) == 1.0, jnp.inf, jnp.where(way < 5.0, near, far))
 
 
 def _is(element: Element, number: int) -> bool:

@@ -129,14 +129,16 @@ class PostureSwitch(FiniteTask):
 
     def whole_body(self, moved: Float[Array, "3"] | Float[np.ndarray, "3"]) -> Float[Array, "10"]:
         """The joints of both legs from the three of the right that move, rad."""
-        right = jnp.zeros(len(leg_thesis.JOINT_NAMES)).at[jnp.array(MOVED)].set(moved)
+        joints = range(len(leg_thesis.JOINT_NAMES))
+        right = jnp.stack([moved[MOVED.index(joint)] if joint in MOVED else 0.0 for joint in joints])
         return jnp.concatenate([right, LEFT_SIGN * right])
 
     def setpoint(self, state: Body, action: IntScalar) -> Float[Array, "10"]:
         """Return the set-points of both legs' joints under `action`, rad."""
         choice = action // 3 ** np.arange(len(MOVED)) % 3 - 1
         target = jnp.clip(self._places(state.encoders) + choice, 0, self.places - 1)
-        return self.whole_body(jnp.asarray(self.grid, float)[np.arange(len(MOVED)), target])
+        rows = zip(jnp.asarray(self.grid, float), target, strict=True)
+        return self.whole_body(jnp.stack([row[place] for row, place in rows]))
 
     def controller(
         self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0
@@ -152,7 +154,7 @@ class PostureSwitch(FiniteTask):
 
     def _encoders(self, world: World, key: Key[Array, ""]) -> Float[Array, "3"]:
         noise = self.encoder_noise * (np.pi / 180) * jax.random.normal(key, (len(MOVED),))
-        return world.qpos[jnp.array(MOVED)] + noise
+        return jnp.stack([world.qpos[joint] for joint in MOVED]) + noise
 
     def _way(self, encoders: Float[Array, "3"]) -> Float[Array, "3"]:
         """Places of the moved joints: start is 0, goal 1."""
