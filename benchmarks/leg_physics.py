@@ -1,6 +1,7 @@
 """Steps a second of the leg in the air, under computed torque or without a controller, at 2 ms.
 
-The physics is this package's `dynamics.rollout`, float32, one program per core on a CPU. The controller's model has the
+The physics is this package's chain, float32: `ChainPhysics.run` on a CPU, one program per core, and `dynamics.rollout`
+on a GPU. The controller's model has the
 mass of every link 20 % off, one up, the next down: nothing of the plant's can be used again. `opponents.py` adds MJX
 and native MuJoCo.
 """
@@ -14,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from timing import on_all_devices
 
-from humanoid_mjx import compute
+from humanoid_mjx import compute, make_physics
 from humanoid_mjx.control import at_rest, servo
+from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.robot.leg import Leg
 
@@ -26,7 +28,7 @@ KP, KD, GOAL = 70.0, 32.0, 0.5
 MASS_ERRORS = (0.8, 1.2, 0.8, 1.2, 0.8)
 """The controller's model against the leg, link by link."""
 
-UNROLL = {"cpu": 1, "gpu": 4}
+UNROLL = 4
 """Steps of the chain in one pass of the loop: a GPU waits for the start of each pass."""
 
 
@@ -44,8 +46,8 @@ def chain(batch: int, steps: int, controlled: bool = True, again: int = 1) -> Ca
 
 @cache
 def _chain_program(steps: int, controlled: bool) -> Callable[..., Any]:
-    leg = Leg.physical()
-    model = leg.scaled(np.array(MASS_ERRORS))
+    leg, physics = Leg.physical(), make_physics("chain", robot="leg", timestep=TIMESTEP)
+    model, errors = leg.scaled(np.array(MASS_ERRORS)), np.float32(MASS_ERRORS)
     kp, kd, goal = jnp.full(5, KP), jnp.full(5, KD), at_rest(jnp.full(5, GOAL))
 
     def controller(_: Any, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
@@ -53,8 +55,12 @@ def _chain_program(steps: int, controlled: bool) -> Callable[..., Any]:
             return jnp.zeros(5)
         return dynamics.inverse_dynamics(model, qpos, qvel, servo(kp, kd, goal, qpos, qvel))
 
-    def simulate(qpos: jax.Array, qvel: jax.Array) -> dynamics.State:
-        unroll = UNROLL.get(jax.default_backend(), 1)
-        return dynamics.rollout(leg, qpos, qvel, controller, TIMESTEP, steps, unroll=unroll)[0]
+    def law(state: Stages) -> jax.Array:
+        return state.torque_for(servo(kp, kd, goal, state.qpos, state.qvel), errors) if controlled else jnp.zeros(5)
+
+    def simulate(qpos: jax.Array, qvel: jax.Array) -> Any:
+        if jax.default_backend() == "cpu":
+            return physics.run(physics.start(qpos, qvel), law, steps)
+        return dynamics.rollout(leg, qpos, qvel, controller, TIMESTEP, steps, unroll=UNROLL)[0]
 
     return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options("scalars", every_device=True))

@@ -1,5 +1,6 @@
 """The command `info`."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -173,8 +174,12 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     console.print(f"on disk an estimated {decimal(disk_bytes(plan, together))}, without figures")
     if refusal:
         console.print(f"sweep refuses it here: {refusal}")
-    for reason in dict.fromkeys(why_no_kernel(group.learner()) for group in plan.groups if plan.unit == "episode"):
-        console.print("trained by a kernel" if reason is None else f"not trained by a kernel: {reason}")
+    points: Counter[str | None] = Counter()
+    for group in plan.groups if plan.unit == "episode" else ():
+        points[why_no_kernel(group.learner())] += len(group.first_runs) // group.seeds
+    for reason, count in points.items():
+        which = f"{counted(count, 'point')} " if len(points) > 1 else ""
+        console.print(which + ("trained by a kernel" if reason is None else f"not trained by a kernel: {reason}"))
     if timed:
         _show_time(plan)
     else:

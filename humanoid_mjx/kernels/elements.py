@@ -106,7 +106,7 @@ def computed(
     if name == "round":
         return _rounded(params, vector(args[0]))
     if name == "erf_inv":
-        return _inverse_of_erf(vector(args[0]))
+        return inverse_of_erf(vector(args[0]))
     if all(np.ndim(arg) == 0 for arg in args):  # the same in all worlds
         return bind(*map(jnp.asarray, args), **params)
     if name in ANGLES:
@@ -169,7 +169,7 @@ FAR_ERF += 1.00167406, 2.83297682
 """Coefficients of M. Giles, "Approximating the erfinv function" (2011), for single precision."""
 
 
-def _inverse_of_erf(x: Array) -> Array:
+def inverse_of_erf(x: Array) -> Array:
     """The inverse of the error function, from which `jax.random.normal` makes its numbers."""
     way = -jnp.log((1.0 - x) * (1.0 + x))
     near = reduce(lambda found, term: found * (way - 2.5) + term, NEAR_ERF, jnp.zeros_like(x))

@@ -4,7 +4,8 @@ The worlds of one scalar are then contiguous in memory, whatever axes of lanes o
 `jax.vmap` puts the axis of worlds first. Nested maps (runs of worlds) become one axis, so no loop is mapped over loops.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Collection
 from functools import lru_cache, partial
 from typing import Any
 
@@ -12,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jax.experimental.layout import Layout, with_layout_constraint
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from humanoid_mjx.kernels import cpu_kernel as cpu
 from humanoid_mjx.kernels import fallback
@@ -24,30 +26,76 @@ from humanoid_mjx.kernels.signature import called, signature_of_one
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`function`, which is written for one world, such that `jax.vmap` of it is a kernel.
+    """`function`, which is written for one world, such that `jax.vmap` of it, once or nested, is a kernel.
 
-    The function takes and returns pytrees of arrays; `docs/kernels.md` says what it may do. Of any other function, and
-    outside `jax.vmap`, XLA makes the program. A kernel has no derivative and is mapped once: take `function` itself for
-    derivatives and nested maps.
+    The function takes and returns pytrees of arrays; `docs/kernels.md` says what it may do. Of any other function, of
+    derivatives and outside `jax.vmap` XLA makes the program.
     """
-    single = custom_vmap(function)
 
-    @single.def_vmap
-    def _(worlds: int, batched: Any, *args: Any) -> tuple[Any, Any]:
-        (leaves, structure), many = jax.tree.flatten(args), tuple(jax.tree.leaves(batched))
-        by_xla = jax.vmap(lambda *each: function(*structure.unflatten(each)), [0 if own else None for own in many])
-        found = None
+    @jax.custom_jvp
+    def call(*args: Any) -> Any:
+        leaves, structure = jax.tree.flatten(args)
+        return _mapped(function, structure, (False,) * len(leaves))(*leaves)
+
+    call.defjvp(lambda args, tangents: jax.jvp(function, args, tangents))
+    return lambda *args: call(*jax.tree.map(jnp.asarray, args))
+
+
+def _mapped(function: Callable[..., Any], structure: Any, many: tuple[bool, ...]) -> Callable[..., Any]:
+    """`kernel` of a function's leaves, of which those of `many` have a first axis of worlds; `jax.vmap` adds to it."""
+
+    @custom_vmap
+    def call(*leaves: Any) -> Any:
+        if not any(many):
+            return function(*structure.unflatten(leaves))
         if jax.default_backend() in BACK_ENDS and not fallback.given_up():
-            block, call, _ = BACK_ENDS[jax.default_backend()]
+            args, (block, call, _) = structure.unflatten(leaves), BACK_ENDS[jax.default_backend()]
             try:
                 if not why_not(function, args, many):
-                    found = called(signature_of_one(function, args, many), args, block, call)
+                    return called(signature_of_one(function, args, many), args, block, call)
             except Exception as error:  # whatever it is, XLA does not need it
                 fallback.warn(error)
-        found = by_xla(*leaves) if found is None else found
+        axes = [0 if own else None for own in many]
+        return jax.vmap(lambda *each: function(*structure.unflatten(each)), axes)(*leaves)
+
+    @call.def_vmap
+    def _(runs: int, batched: list[bool], *leaves: Any) -> tuple[Any, Any]:
+        """Runs of worlds are so many worlds."""
+        pairs = list(zip(batched, many, strict=True))
+        shape = runs, *[leaf.shape[flag] for leaf, (flag, own) in zip(leaves, pairs, strict=True) if own][:1]
+
+        def merged(leaf: Any, flag: bool, own: bool) -> Any:
+            if not (flag or own):
+                return leaf
+            leaf = leaf if flag else leaf[None]
+            leaf = leaf if own or not any(many) else leaf[:, None]
+            one = leaf.shape[len(shape) :]
+            return jnp.broadcast_to(leaf, (*shape, *one)).reshape(math.prod(shape), *one)
+
+        worlds = [merged(leaf, *pair) for leaf, pair in zip(leaves, pairs, strict=True)]
+        found = _mapped(function, structure, tuple(map(any, pairs)))(*worlds)
+        found = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), found)
         return found, jax.tree.map(lambda _: True, found)
 
-    return single
+    return call
+
+
+def kernel_here(function: Callable[..., Any], *args: Any, back_ends: Collection[str]) -> Any:
+    """`kernel(function)(*args)` of a function that uses traced arrays of its surroundings, on these back ends alone."""
+    if jax.default_backend() not in back_ends:
+        return function(*args)
+    closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
+    traced = [isinstance(value, jax.core.Tracer) for value in closed.consts]
+    known = [None if flag else value for flag, value in zip(traced, closed.consts, strict=True)]
+    structure = jax.tree.structure(shapes)
+
+    def whole(own: list[Any], *args: Any) -> Any:
+        rest = iter(own)
+        consts = [next(rest) if flag else value for flag, value in zip(traced, known, strict=True)]
+        return structure.unflatten(jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, consts))(*jax.tree.leaves(args)))
+
+    own = [value for flag, value in zip(traced, closed.consts, strict=True) if flag]
+    return kernel(whole)(own, *args)
 
 
 BACK_ENDS = {"cpu": (WIDTH, cpu.call, cpu.written), "gpu": (THREADS, gpu.call, gpu.kinds_of_results)}

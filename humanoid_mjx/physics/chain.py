@@ -17,6 +17,7 @@ from pydantic import Field
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.control.stages import Stages
+from humanoid_mjx.kernels.worlds import kernel_here
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.mechanics.kinematics import frames
@@ -90,8 +91,12 @@ class ChainPhysics(Physics):
             now = self._cycle(now, controller)[0]
             return (list(now.qpos), list(now.qvel)), None
 
-        qpos, qvel = jax.lax.scan(cycle, (list(world.qpos), list(world.qvel)), length=cycles)[0]
-        return freeze_if_diverged(world, world._replace(qpos=jnp.stack(qpos), qvel=jnp.stack(qvel)))
+        def all_cycles(qpos: Any, qvel: Any) -> Any:
+            qpos, qvel = jax.lax.scan(cycle, (list(qpos), list(qvel)), length=cycles)[0]
+            return jnp.stack(qpos), jnp.stack(qvel)
+
+        qpos, qvel = kernel_here(all_cycles, world.qpos, world.qvel, back_ends=("cpu",))
+        return freeze_if_diverged(world, world._replace(qpos=qpos, qvel=qvel))
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         still, nowhere = jnp.zeros(3, world.qpos.dtype), jnp.zeros((0, 3), world.qpos.dtype)

@@ -9,12 +9,15 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+import scipy.special
 from tree_robots import HOPPER, PLANAR, SHAPES, converged, states
 
 from humanoid_mjx import compute
 from humanoid_mjx.kernels import cpu_kernel as kernels
+from humanoid_mjx.kernels import worlds
 from humanoid_mjx.kernels.angles import cosine, sine
 from humanoid_mjx.kernels.cpu_kernel import cpu_kernel
+from humanoid_mjx.kernels.elements import inverse_of_erf
 from humanoid_mjx.kernels.gpu_kernel import gpu_kernel
 from humanoid_mjx.kernels.worlds import one_world
 from humanoid_mjx.mechanics.terrain import Terrain
@@ -149,6 +152,11 @@ def test_sine_and_cosine_are_those_of_numpy():
         np.testing.assert_allclose(jax.jit(function)(angles), reference(np.float64(angles)), atol=1.2e-7, rtol=0)
 
 
+def test_the_inverse_of_the_error_function_is_that_of_scipy():
+    x = np.float32(np.concatenate([np.linspace(-1, 1, 20_001), 1.0 - np.logspace(-7, -1, 500), np.logspace(-30, -1)]))
+    np.testing.assert_allclose(jax.jit(inverse_of_erf)(x), scipy.special.erfinv(np.float64(x)), rtol=4e-7)
+
+
 NUMBERS = {
     "arithmetic": lambda x, y: (x + y, x - y, x * y, x / y, -x, abs(x), x**2, x**3, jnp.square(y)),
     "roots and powers": lambda x, y: (
@@ -157,6 +165,7 @@ NUMBERS = {
         jnp.exp(x),
         jnp.log(abs(y)),
         abs(x) ** y,
+        jax.lax.erf_inv(x / (2.0 + 2.0 * abs(x))),
     ),
     "angles": lambda x, y: (jnp.sin(x), jnp.cos(x), jnp.tan(x), jnp.arctan2(x, y)),
     "order": lambda x, y: (x < y, x <= y, x > y, x >= y, x == y, x != y, jnp.maximum(x, y), jnp.minimum(x, y)),
@@ -378,6 +387,34 @@ def test_a_kernel_is_traced_again(kernel, context):
     finally:
         jax.config.update("jax_default_matmul_precision", precision)
     jax.tree.map(np.testing.assert_array_equal, first, second)
+
+
+MAPS = {
+    "once": lambda f: jax.vmap(f, (0, None, None))(X[0], Y[0], 3),
+    "nested": lambda f: jax.vmap(jax.vmap(f, (0, None, None)), (0, 0, None))(X, Y, jnp.int32(3)),
+    "crossed": lambda f: jax.vmap(jax.vmap(f, (None, 0, None)), (0, None, None))(X[:, 0], Y, 3),
+    "derived": lambda f: jax.grad(lambda x: jax.vmap(lambda x, y: f(x, y, 3)["sum"])(x, Y).sum())(X[:, 0]),
+    "derived each": lambda f: jax.vmap(jax.grad(lambda x, y: f(x, y, 3)["sum"]))(X[:, 0], Y),
+}
+X, Y = (jnp.asarray(np.random.default_rng(6).normal(size=size), jnp.float32) for size in ((3, 5, 4), 3))
+
+
+@pytest.mark.parametrize("case", MAPS)
+def test_maps_and_derivatives_of_a_kernel(case, monkeypatch):
+    """Runs of worlds are one kernel; derivatives are XLA's."""
+    calls = []
+
+    def counted(known, leaves, worlds, call=kernels.call):
+        calls.append(worlds)
+        return call(known, leaves, worlds)
+
+    def function(x, y, count):
+        return {"sum": jnp.sin(x).sum() * y, "row": jax.lax.fori_loop(0, count, lambda _, row: 0.5 * row + y, x)}
+
+    monkeypatch.setitem(worlds.BACK_ENDS, "cpu", (kernels.WIDTH, counted, kernels.written))
+    found, expected = MAPS[case](worlds.kernel(function)), MAPS[case](function)
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=2e-6, atol=1e-6), found, expected)
+    assert set(calls) == ({16} if "derived" not in case else set())
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
