@@ -1,6 +1,6 @@
 """A handful of ratios in one run, against the record of them that is committed: has something become slow?
 
-    scan               tabular Q-learning of this package, against a naive scan in JAX
+    tables             tabular Q-learning as a sweep runs it, against a naive scan in JAX
     chain              the leg without control, against native MuJoCo
     help               `humanoid-mjx --help` in a new process, against importing numpy in one
     trace              tracing and lowering a step of `stand`, its kernel compiled in it, against a program that stays
@@ -133,11 +133,11 @@ def _seconds(call: Callable[[], Any], clock: Callable[[], float]) -> float:
     return clock() - start
 
 
-def scan() -> Pair:
-    """Both train as many agents; the scan, being quicker, for more steps."""
+def tables() -> Pair:
+    """Both train as many agents; the kernel, being quicker, for more steps."""
     epsilon = np.linspace(0.1, 0.9, tabular.CPU_BLOCK * jax.local_device_count(), dtype=np.float32)
-    ours, naive = 4096, 256
-    return _warm(Pair(tabular.scan(epsilon, ours).call, naive_scan(epsilon, naive).call, ours / naive, repeats=15))
+    ours, naive = 8192, 256
+    return _warm(Pair(tabular.fused(epsilon, ours).call, naive_scan(epsilon, naive).call, ours / naive, repeats=15))
 
 
 def chain() -> Pair:
@@ -228,7 +228,7 @@ def _warm(pair: Pair) -> Pair:
 
 
 RATIOS: dict[str, Callable[[], Pair]] = {
-    "scan": scan,
+    "tables": tables,
     "chain": chain,
     "help": start_up,
     "trace": trace,
