@@ -84,6 +84,9 @@ class Kept:
 LONG = 16
 """Equal words that a loop writes instead of an instruction each, and steps of one world that are a loop."""
 
+MANY = 1000
+"""Operations of all steps together from which on fewer steps are a loop, too: to unroll them takes long to compile."""
+
 Held = np.ndarray | Kept
 """An array of elements, or one in memory."""
 
@@ -228,7 +231,7 @@ class Threads:
         if args and isinstance(args[0], Kept) and self._is_view(eqn, args[0]):
             fixed = args[0].fixed or name != "reshape" or args[0].argument is None
             return [replace(args[0], shape=eqn.outvars[0].aval.shape, fixed=fixed)]
-        if name == "scan" and self.single and params["length"] > LONG:
+        if name == "scan" and self.single and _is_long(eqn):
             return self.evaluate(_looped(eqn), args)
         args = [self._loaded(arg) for arg in args]
         if name == "scan":
@@ -561,6 +564,19 @@ def _fixed_and_carried(eqn: Any) -> tuple[int, int]:
 
     carried = alike(eqn.outvars, body.outvars)
     return alike(eqn.invars, body.invars) - carried, carried
+
+
+def _is_long(eqn: Any) -> bool:
+    """True for a loop of known length that is not unrolled."""
+    length, (first, kept) = eqn.params["length"], _fixed_and_carried(eqn)
+    stacks = first + kept < len(eqn.invars) or kept < len(eqn.outvars)
+    return length > LONG or (not stacks and length * _operations(eqn.params["jaxpr"].jaxpr) > MANY)
+
+
+def _operations(jaxpr: Any) -> int:
+    """How many operations a traced function has, those of the functions that it calls among them."""
+    inside = (eqn.params[CALLS[eqn.primitive.name]] for eqn in jaxpr.eqns if eqn.primitive.name in CALLS)
+    return len(jaxpr.eqns) + sum(_operations(each.jaxpr) for each in inside)
 
 
 def _looped(eqn: Any) -> ClosedJaxpr:

@@ -389,6 +389,24 @@ def test_a_kernel_is_traced_again(kernel, context):
     jax.tree.map(np.testing.assert_array_equal, first, second)
 
 
+def test_a_short_loop_of_many_operations_is_not_unrolled():
+    def function(steps, x):
+        def step(x, _):
+            for number in range(40):
+                x = jnp.sin(x) + number
+            return x, None
+
+        return jax.lax.scan(step, x, length=steps)[0]
+
+    few, many = (
+        kernels.written(worlds.signature_of_one(partial(function, steps), (X[0],), (True,)))[0].count("\n")
+        for steps in (14, 16)
+    )
+    assert many == few
+    found, expected = (jax.jit(jax.vmap(of(partial(function, 14))))(X[0]) for of in (worlds.kernel, lambda f: f))
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
 MAPS = {
     "once": lambda f: jax.vmap(f, (0, None, None))(X[0], Y[0], 3),
     "nested": lambda f: jax.vmap(jax.vmap(f, (0, None, None)), (0, 0, None))(X, Y, jnp.int32(3)),
