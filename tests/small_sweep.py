@@ -5,6 +5,10 @@ import os
 import subprocess
 import sys
 
+import numpy as np
+
+from humanoid_mjx.runs.curves import Learning
+
 CONFIG = {
     "name": "small",
     "task": {"name": "joint_reach", "joint": 5, "states": 13, "max_episode_steps": 40},
@@ -50,3 +54,21 @@ def assert_same_tables(run, other):
     """The tables of two run folders are the same, byte by byte."""
     for name in ("results.parquet", "summary.parquet"):
         assert (run / name).read_bytes() == (other / name).read_bytes(), name
+
+
+def of_rows(rows, axes, mode="grid", order=()):
+    """The learning curves of columns as `results.parquet` has them. `order`: numbers of points, the best first."""
+    unit = "step" if "step" in rows else "episode"
+    places, at = np.unique(rows[unit], return_inverse=True)
+    points, first, row = np.unique(rows["point"], return_index=True, return_inverse=True)
+    seeds, column = np.unique(rows["seed"], return_inverse=True)
+
+    def read(name):
+        found = np.full((len(points), len(seeds), len(places)), np.nan)
+        found[row, column, at] = rows[name]
+        return found
+
+    names = [name for name, values in rows.items() if values.dtype.kind == "f" and "." not in name]
+    by_axis, numbers = {axis: rows[axis][first] for axis in axes}, points.tolist()
+    ranked = [numbers.index(each) for each in order] or list(range(len(points)))
+    return Learning(mode, by_axis, unit, places, names, read, len(seeds), numbers, ranked)

@@ -27,9 +27,6 @@ from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, s
 from humanoid_mjx.runs.curves import Learning, read_learning
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.ranking import MEASURES, SAME, Judged, find_levels, short
-from humanoid_mjx.spec import InputError, find, modules_in
-from humanoid_mjx.tasks import TASKS
-from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.training.sweep import Run
 
 MAX_CURVES = 8
@@ -58,14 +55,13 @@ def draw_run(run: Run, summary: Mapping[str, np.ndarray]) -> tuple[Learning, lis
     """
     config = run.config
     learning = read_learning(run.path, read_config(run.path), summary, config.episodes is not None)
-    own = figures_of(config.task["name"], config.modules)
-    return learning, sweep_figures(run.path / "figures", config.name, learning, own)
+    return learning, sweep_figures(run.path / "figures", config.name, learning)
 
 
-def sweep_figures(folder: Path, title: str, learning: Learning, own: Sequence[Figure] = ()) -> list[Path]:
-    """Draw all figures of a run folder, and the task's own, from its tables; the paths of what was drawn."""
+def sweep_figures(folder: Path, title: str, learning: Learning) -> list[Path]:
+    """Draw all figures of a run folder from its tables; the paths of what was drawn."""
     paths = [folder / "learning_curves.png"]
-    learning_curves(paths[0], title, learning, own)
+    learning_curves(paths[0], title, learning)
     if others := parameters(learning):
         paths.append(folder / "parameters.png")
         with side_by_side(paths[-1], [each.title for each in others], f"{title}: {EFFECTS[learning.mode]}") as panels:
@@ -92,17 +88,17 @@ def mapped(learning: Learning) -> list[str]:
     return [name for name, values in finals.items() if values is not None and _tells(values)]
 
 
-def curved(learning: Learning, own: Sequence[Figure] = ()) -> list[Figure]:
+def curved(learning: Learning) -> list[Figure]:
     """The figures worth drawing: of what was recorded those that change, or if none does all."""
     measures = [Figure(title, (name,), partial(draw_curves, name=name)) for name, title in CURVES.items()]
     # A term of the reward is nothing else that is recorded.
     terms = tuple(name for name in learning.names if name not in CURVES and not name.startswith("greedy_"))
-    every = *measures, *([Figure(TERMS, terms, partial(draw_terms, names=terms), by_axis=False)] if terms else []), *own
-    recorded = [each for each in every if set(each.needed) <= set(learning.columns)]
-    tell = {name: _tells(learning.read(name)) for each in recorded for name in each.needed if name in learning.names}
+    every = *measures, *([Figure(TERMS, terms, partial(draw_terms, names=terms), by_axis=False)] if terms else [])
+    recorded = [each for each in every if set(each.needed) <= set(learning.names)]
+    tell = {name: _tells(learning.read(name)) for each in recorded for name in each.needed}
     if {"steps", "return"} <= tell.keys() and _mirrors(learning.read("steps"), learning.read("return")):
         tell["return"] = False
-    drawn = [each for each in recorded if any(tell.get(name, True) for name in each.needed)] or recorded
+    drawn = [each for each in recorded if any(tell[name] for name in each.needed)] or recorded
     return drawn + [Figure(title, (name,), partial(draw_greedy, name=name)) for name, title in _greedy(learning)]
 
 
@@ -116,20 +112,6 @@ def _greedy(learning: Learning) -> list[tuple[str, str]]:
 def by_value(learning: Learning) -> bool:
     """True if figures tell values of each parameter apart; of a `zip` or a `random` sweep they show points."""
     return learning.mode == "grid" and bool(learning.axes)
-
-
-def figures_of(task: str, modules: str | None) -> list[Figure]:
-    """The figures that a task adds, by its name; none where its module is no longer there."""
-
-    def from_rows(draw: Any, panel: Any, learning: Learning, axis: str | None) -> dict[str, float]:
-        return draw(panel, learning.rows(), axis)
-
-    try:
-        with modules_in(modules):
-            own = [Figure(*each) for each in find("task", TASKS, Task, task).figures]
-    except InputError:
-        return []
-    return [each._replace(draw=partial(from_rows, each.draw)) for each in own]
 
 
 def averaged(learning: Learning) -> str:
@@ -159,10 +141,10 @@ def side_by_side(path: Path, titles: Sequence[str], heading: str) -> Iterator[li
         yield list(panels.flat[: len(titles)])
 
 
-def learning_curves(path: Path, title: str, learning: Learning, own: Sequence[Figure] = ()) -> None:
+def learning_curves(path: Path, title: str, learning: Learning) -> None:
     """Learning curves: of a grid a row of panels for each figure, a panel for each swept parameter, two lines for each
     of its values (`averaged`); else the figures side by side."""
-    rows, axes, heading = curved(learning, own), list(learning.axes), f"{title}: {averaged(learning)}"
+    rows, axes, heading = curved(learning), list(learning.axes), f"{title}: {averaged(learning)}"
     if len(axes) < 2 or not by_value(learning):
         axis = axes[0] if axes and by_value(learning) else None
         with side_by_side(path, [axis or ""] * len(rows), heading) as panels:

@@ -1,12 +1,8 @@
 """The report of a run folder while its sweep trains: a page that grows, and that the browser loads again and again."""
 
-import os
-import subprocess
-import sys
 import threading
 import time
 import webbrowser
-from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
 from functools import partial
@@ -15,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from humanoid_mjx.files import write_text
-from humanoid_mjx.report.figures import averaged, figures_of
+from humanoid_mjx.report.figures import averaged
 from humanoid_mjx.report.page import curve_panels, run_page
-from humanoid_mjx.report.web import image, page, section, table, text
-from humanoid_mjx.runs.curves import of_rows, swept
+from humanoid_mjx.report.web import page, section, table, text
+from humanoid_mjx.runs.curves import Learning, swept
 from humanoid_mjx.runs.folder import RunFolder
 from humanoid_mjx.runs.ranking import BEST_POINTS, short
 from humanoid_mjx.training.curves import Curves
@@ -31,9 +27,6 @@ MAX_POINTS = 60
 
 EVERY_S = 5.0
 """The least time between two drawings, and that after which a browser loads the page again, s."""
-
-PLAY_S = 120.0
-"""The least time between two pictures of the robot, s."""
 
 DRAWING_SHARE = 0.1
 """The most of the time that drawing may take."""
@@ -54,7 +47,6 @@ class Growing(Reporter):
         self.words = "starting"
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        self._player: subprocess.Popen[bytes] | None = None
 
     def watch(self, folder: RunFolder, plan: Plan) -> Curves:
         """Begin to draw; the curves that the page shows (`training.sweep.sweep`)."""
@@ -72,16 +64,10 @@ class Growing(Reporter):
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         """Leave the report of the run, or where the sweep was stopped the page as it is."""
         self._over.set()
-        try:
-            if self._thread.is_alive():
-                self._thread.join()
-                self.words = "stopped"
-                write_text(self.file, self.html() if kind else run_page(self.file.parent, Reporter(), motion=False))
-        finally:
-            if self._player:
-                self._player.kill()
-                self._player.wait()
-                self._picture.unlink(missing_ok=True)
+        if self._thread.is_alive():
+            self._thread.join()
+            self.words = "stopped"
+            write_text(self.file, self.html() if kind else run_page(self.file.parent, Reporter(), motion=False))
 
     def note(self, text: str) -> None:
         self.reporter.note(text)
@@ -94,28 +80,13 @@ class Growing(Reporter):
         self.state = state
         self.reporter.update(state)
 
-    @property
-    def _picture(self) -> Path:
-        return self.file.with_name(".robot.png")
-
-    def _play(self, name: str) -> None:
-        """Start a process that draws the robot under the best policy of a run folder. To compile in this process could
-        crash a training on a GPU. The process fails if the task moves no robot."""
-        command = [sys.executable, "-m", "humanoid_mjx", "play", name, "--trust", "--out", str(self._picture)]
-        env, none = os.environ | {"JAX_PLATFORMS": "cpu"}, subprocess.DEVNULL
-        self._player = subprocess.Popen(command, env=env, stdin=none, stdout=none, stderr=none)
-
     def _run(self) -> None:
-        took, played = 0.0, -PLAY_S
+        took = 0.0
         with suppress(OSError):  # the folder is gone or full: the sweep itself says so
             while not self._over.wait(max(EVERY_S, took / DRAWING_SHARE)):
                 began = time.monotonic()
                 self.write()
                 took = time.monotonic() - began
-                code = self._player.poll() if self._player else 0
-                if code == 0 and began > played + PLAY_S and self.folder.parts() and not self._over.is_set():
-                    self._play(str(self.folder.path))
-                    played = began
 
     def write(self) -> None:
         """Write the page as it is now."""
@@ -124,25 +95,17 @@ class Growing(Reporter):
 
     def html(self) -> str:
         """The page as it is now."""
-        config, results = self.curves.plan.config, results_so_far(self.curves)
+        name, learning = self.curves.plan.config.name, learning_so_far(self.curves)
         lead = f'<p class="lead">{text(self._status(), "span")}</p>'
-        if not results:
-            return page(config.name, lead)
-        mode, axes = swept(config.model_dump(mode="json"))
+        if learning is None:
+            return page(name, lead)
+        best = section("Best so far", table(*best_so_far(self.curves)))
+        if not learning.names:
+            return page(name, lead + best + section("Learning", text("No episode has ended yet.")))
         shown = len(self.curves.points) < len(self.curves.plan.points)
         drawn = f" {len(self.curves.points)} points drawn by chance." if shown else ""
-        own = figures_of(config.task["name"], config.modules)
-        best = section("Best so far", table(*best_so_far(self.curves)))
-        if self._picture.is_file():
-            words = text("An episode that no training has seen, under the best policy of the runs that are finished.")
-            best += section("The robot so far", words, image(self._picture.read_bytes(), ".png", "The robot so far"))
-        lines = _drawable(results, self.curves)
-        if not lines.keys() & self.curves.measures.keys():
-            return page(config.name, lead + best + section("Learning", text("No episode has ended yet.")))
-        order = [int(row[0]) for row in best_so_far(self.curves, None)[1]]
-        learning = of_rows(lines, axes, mode, order)
         words = text(f"Lines: {averaged(learning)}.{drawn}")
-        return page(config.name, lead + best + section("Learning", words, *curve_panels(learning, own)))
+        return page(name, lead + best + section("Learning", words, *curve_panels(learning)))
 
     def _status(self) -> str:
         now, state = f"{datetime.now():%H:%M:%S}", self.state
@@ -153,36 +116,32 @@ class Growing(Reporter):
         return f"{now}: {self.words}, {state.done / state.total:.0%} trained{rate}{left}"
 
 
-def results_so_far(curves: Curves) -> dict[str, np.ndarray]:
-    """Columns as results.parquet has them, of the finished runs, or of those under way while none is finished.
+def learning_so_far(curves: Curves) -> Learning | None:
+    """The curves of the finished runs, or of those under way while none is finished; None while no run has reached a
+    record point.
 
-    Record points that a run has not reached are NaN. Empty while no run has reached any.
+    Record points that a run has not reached are NaN. A measure known at fewer than two of them makes no line and is
+    left out.
     """
     measures, known = _measured(curves)
-    points, seeds = np.nonzero(_shown(known, len(curves.places)))
-    if not len(points):
-        return {}
-    plan, places = curves.plan, curves.places
-    runs = np.repeat(np.arange(len(points)), len(places))
-    found = {"point": curves.points[points][runs], "seed": seeds[runs], plan.unit: np.tile(places, len(points))}
-    found |= {name: np.asarray(values)[found["point"]] for name, values in plan.table().items()}
-    here = np.arange(len(places)) < known[points, seeds][:, None]
-    for name, values in measures.items():
-        found[name] = np.where(here, values[points, seeds], np.nan).reshape(-1)
-    return found
-
-
-def _drawable(results: Mapping[str, np.ndarray], curves: Curves) -> dict[str, np.ndarray]:
-    """Columns of `results` without the measures of which fewer than two record points are known: they make no line."""
-    places = results[curves.plan.unit]
-    few = {name for name in curves.measures if len(np.unique(places[np.isfinite(results[name])])) < 2}
-    return {name: values for name, values in results.items() if name not in few}
+    shown, plan = _shown(known, len(curves.places)), curves.plan
+    rows, seeds = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return None
+    reached = shown[..., None] & (np.arange(len(curves.places)) < known[..., None])
+    drawn = {name: np.where(reached, values, np.nan)[rows][:, seeds] for name, values in measures.items()}
+    drawn = {name: values for name, values in drawn.items() if np.isfinite(values).any(axis=(0, 1)).sum() > 1}
+    points, hyper, (mode, axes) = curves.points[rows], plan.table(), swept(plan.config.model_dump(mode="json"))
+    order = [int(np.searchsorted(points, int(row[0]))) for row in best_so_far(curves, None)[1]]
+    columns = {axis: np.asarray(hyper[axis])[points] for axis in axes}
+    names, places = list(drawn), curves.places
+    return Learning(mode, columns, plan.unit, places, names, drawn.__getitem__, len(seeds), points.tolist(), order)
 
 
 def best_so_far(curves: Curves, most: int | None = BEST_POINTS) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of the best points so far, by success, then by steps or by return, as `ranked` judges them.
 
-    A point is judged at the last record point that all of its runs in `results_so_far` have reached, or the last one
+    A point is judged at the last record point that all of its runs in `learning_so_far` have reached, or the last one
     before it up to which an episode of each has ended.
     """
     plan, (measures, known) = curves.plan, _measured(curves)

@@ -22,7 +22,7 @@ from humanoid_mjx.evaluation.gait.scenarios import walking_task
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world, on_native, on_plane
 from humanoid_mjx.evaluation.replay import why_stopped
 from humanoid_mjx.report.drawing import HEAT_MAPS
-from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, figures_of, mapped, parameters
+from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, mapped, parameters
 from humanoid_mjx.report.gaits import gait_rows, meanings, remarks
 from humanoid_mjx.report.learned import learned
 from humanoid_mjx.report.parameters import draw_map, limits
@@ -63,10 +63,9 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     axes = list(learning.axes)
     reporter.phase("drawing figures")
     points = ranked(axes, summary, quickest)
-    own = figures_of(str(config["task"]["name"]), config.get("modules"))
     parts = {
         "Result": _result(path, learning, summary, points, quickest),
-        "Learning": [text(f"Lines: {averaged(learning)}."), *curve_panels(learning, own)],
+        "Learning": [text(f"Lines: {averaged(learning)}."), *curve_panels(learning)],
     }
     if others := parameters(learning):
         panels = (panel for each in others for panel in _row(learning, (None,), each))
@@ -134,9 +133,9 @@ def _result(
     return parts
 
 
-def curve_panels(learning: Learning, own: Sequence[Figure]) -> list[str]:
+def curve_panels(learning: Learning) -> list[str]:
     """A row of panels for each figure, on one scale; where lines are points of the sweep, all figures in one."""
-    rows, axes = curved(learning, own), list(learning.axes)
+    rows, axes = curved(learning), list(learning.axes)
     if not by_value(learning):
         return [_grid(curve for each in rows for curve in _row(learning, (None,), each))]
     return [

@@ -26,8 +26,6 @@ class Learning:
     unit: str
     """Counter of the training: `episode` or `step`."""
     places: Num[np.ndarray, " record"]
-    columns: Sequence[str]
-    """Names of all columns of `results.parquet`."""
     names: Sequence[str]
     """Measures that have curves."""
     read: Callable[[str], Float[np.ndarray, "points seeds record"]]
@@ -37,8 +35,6 @@ class Learning:
     """The points' numbers."""
     order: Sequence[int]
     """Indices of the points, the best first."""
-    rows: Callable[[], dict[str, np.ndarray]]
-    """All of it as columns of `results.parquet`, for figures of a task's own."""
     finals: Callable[[str], Float[np.ndarray, "points seeds"] | None] = lambda name: None
     """A column of `summary.parquet`; None where there is none."""
     compared: Compared = NOT_COMPARED
@@ -86,42 +82,11 @@ def read_learning(path: Path, config: Mapping[str, Any], summary: Mapping[str, n
         {axis: summary[axis][first] for axis in axes},
         unit,
         places,
-        columns,
         names,
         read,
         len(seeds),
         points.tolist(),
         [place[each.point] for each in ranked(axes, summary, quickest)],
-        lambda: {name: values[np.repeat(kept, record)] for name, values in read_table(file).items()},
         lambda name: by_point(summary, name)[1] if name in summary else None,
         compared(mode, axes, summary, quickest),
-    )
-
-
-def of_rows(
-    rows: Mapping[str, np.ndarray], axes: Sequence[str], mode: str = "grid", order: Sequence[int] = ()
-) -> Learning:
-    """The learning curves of columns as `results.parquet` has them. `order`: numbers of points, the best first."""
-    unit = "step" if "step" in rows else "episode"
-    places, at = np.unique(rows[unit], return_inverse=True)
-    points, first, row = np.unique(rows["point"], return_index=True, return_inverse=True)
-    seeds, column = np.unique(rows["seed"], return_inverse=True)
-
-    def read(name: str) -> np.ndarray:
-        found = np.full((len(points), len(seeds), len(places)), np.nan)
-        found[row, column, at] = rows[name]
-        return found
-
-    return Learning(
-        mode,
-        {axis: rows[axis][first] for axis in axes},
-        unit,
-        places,
-        list(rows),
-        [name for name, values in rows.items() if values.dtype.kind == "f" and "." not in name],
-        read,
-        len(seeds),
-        points.tolist(),
-        [points.tolist().index(each) for each in order] or list(range(len(points))),
-        lambda: dict(rows),
     )

@@ -1,7 +1,6 @@
 """The base of all tasks."""
 
-from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
@@ -22,11 +21,6 @@ class Task(Spec):
     `period`, s between decisions, and if the data of its states hold a `World` anywhere. It may show more by `drive`,
     `push_on` and `told`.
     """
-
-    figures: ClassVar[tuple[tuple[str, tuple[str, ...], Callable[..., dict[str, float]]], ...]] = ()
-    """Additional figures in reports of the task, each a tuple: the title; the columns of `results.parquet` that it
-    needs; `draw(panel, rows, axis)`, which draws on matplotlib's axes and returns the last value of each line by its
-    label. `axis` is a swept parameter or None."""
 
     @property
     def arithmetic(self) -> Arithmetic:

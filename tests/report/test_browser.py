@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser
+from small_sweep import of_rows
 from test_page import HOSTILE
 
 from humanoid_mjx.evaluation.film import Film, Push
@@ -14,7 +15,6 @@ from humanoid_mjx.report.page import _row
 from humanoid_mjx.report.scene import player
 from humanoid_mjx.report.web import contents, page, section, table, text
 from humanoid_mjx.robot import make_robot
-from humanoid_mjx.runs.curves import of_rows
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")]
 

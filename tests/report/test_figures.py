@@ -5,10 +5,10 @@ import dataclasses
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from small_sweep import of_rows
 
 from humanoid_mjx.report.figures import averaged, curved, draw_curves, draw_greedy, mapped, parameters
 from humanoid_mjx.report.parameters import draw_map, draw_parallel, local_mean
-from humanoid_mjx.runs.curves import of_rows
 from humanoid_mjx.runs.ranking import by_point, compared
 from humanoid_mjx.runs.statistics import interval
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest, trim_mean
+from small_sweep import of_rows
 
 from humanoid_mjx.report.drawing import CURVES, HEAT_MAPS, TERMS
-from humanoid_mjx.report.figures import Figure, curved, learning_curves, sweep_figures
-from humanoid_mjx.runs.curves import of_rows
+from humanoid_mjx.report.figures import curved, learning_curves, sweep_figures
 from humanoid_mjx.runs.ranking import best_table, by_point, compared, find_levels, ranked
 from humanoid_mjx.runs.statistics import iqm, iqm_interval, mean_interval, rate_interval
 from humanoid_mjx.runs.tables import scores
@@ -152,14 +152,9 @@ def test_figures_of_every_number_of_axes(tmp_path, axes, seeds):
     greedy = [HEAT_MAPS["greedy_steps"]] * bool(axes)
     assert [each.title for each in curved(learned)] == [CURVES["steps"], *greedy]
     terms = results | {"alive": results["steps"] / 2, "calm": -results["steps"], "td_error": 1.0 / results["episode"]}
-    asked = []
-    own = Figure("of one's own", ("calm",), lambda panel, rows, axis: asked.append(axis) or {})
-    absent = own._replace(needed=("nothing",))
     learned = of_rows(terms, axes)
-    drawn = [each.title for each in curved(learned, [own, absent])]
-    assert drawn == [CURVES["steps"], CURVES["td_error"], TERMS, "of one's own"]
-    learning_curves(tmp_path / "terms.png", "title", learned, [own])
-    assert asked == (axes or [None])
+    assert [each.title for each in curved(learned)] == [CURVES["steps"], CURVES["td_error"], TERMS]
+    learning_curves(tmp_path / "terms.png", "title", learned)
     # The greedy success is 1 everywhere: no map is drawn of what is the same everywhere.
     assert [path.name for path in paths[1:]] == (["parameters.png", "greedy_steps.png"] if len(axes) > 1 else [])
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
