@@ -30,7 +30,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.config import load
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
 from humanoid_mjx.evaluation.gait.tally import heading_of
-from humanoid_mjx.evaluation.policy import StoredPolicy, in_changed_world
+from humanoid_mjx.evaluation.policy import StoredPolicy, in_world
 from humanoid_mjx.mechanics.rotations import rotation_matrix
 from humanoid_mjx.robot import Robot, make_robot
 from humanoid_mjx.robot.lower_body import HOME, JOINTS, LowerBody
@@ -124,7 +124,7 @@ def pushed_from(policy: StoredPolicy, bearing: float, impulse: float) -> StoredP
     """The policy in a world of pushes of this size, N s, every 3 s, this way from straight ahead, degrees."""
     push = f"task.push.impulse={impulse / MOMENTUM:.5f}"
     plain = settings_of([push, *(f"task.{key}={value}" for key, value in PLAIN.items())])
-    there = in_changed_world(policy, plain)
+    there = in_world(policy, None, plain)
     task = PushedFrom.model_construct(**dict(there.learner.task) | {"bearing": jnp.float32(bearing)})
     return there._replace(learner=there.learner.replace(task=task))
 

@@ -17,7 +17,7 @@ from typing import Any
 from humanoid_mjx import compute
 from humanoid_mjx.config import load
 from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS, evaluate_all
-from humanoid_mjx.evaluation.policy import StoredPolicy, best_policy, find_policy, in_world
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world
 from humanoid_mjx.files import names
 from humanoid_mjx.training.sweep import sweep
 
@@ -35,7 +35,7 @@ def policy_for(task: str) -> StoredPolicy:
     if task in names("policies", ".npz"):
         return find_policy(task)
     with tempfile.TemporaryDirectory() as folder:
-        return best_policy(sweep(load(task), Path(folder) / task).path)
+        return find_policy(sweep(load(task), Path(folder) / task).path)
 
 
 def on_each_physics(trained: StoredPolicy, episodes: int) -> list[dict[str, Any]]:

@@ -20,7 +20,7 @@ import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
 from humanoid_mjx.evaluation.gait.scenarios import Scenario, walking_task
-from humanoid_mjx.evaluation.policy import in_changed_world
+from humanoid_mjx.evaluation.policy import in_world
 
 SPEEDS = 0.3, 0.5, 0.65, 0.8, 1.0, 1.2, 1.4, 1.6
 """m/s, straight ahead."""
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     train(given.run, "walk", overrides)
     scenarios, rows = [Scenario(f"forward {speed}", (speed, 0.0, 0.0)) for speed in SPEEDS], []
     for point in range(len(next(iter(AXES.values())))):
-        policies = [in_changed_world(policy, settings_of([])) for policy in trained_seeds([str(given.run)], point)]
+        policies = [in_world(policy, None, settings_of([])) for policy in trained_seeds([str(given.run)], point)]
         found = walked(policies, given.episodes, FIGURES, scenarios)
         pace = walking_task(policies[0].learner.task).robot.pace
         froude = [[(speed or 0.0) ** 2 / pace**2 for speed in seeds] for seeds in found["forward"]]

@@ -25,7 +25,7 @@ import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.evaluation.evaluate import held_out_keys
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
-from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_changed_world
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import greedy, rollout
 from humanoid_mjx.report.style import SEQUENTIAL, figure
@@ -115,7 +115,7 @@ def there(policy: StoredPolicy, changes: Sequence[str]) -> StoredPolicy:
     task: Any = policy.learner.task
     plain = PLAIN | ({"command": AHEAD} if task.command else {})
     plain |= dict(change.split("=", 1) for change in changes)
-    return in_changed_world(policy, settings_of([f"task.{key}={value}" for key, value in plain.items()]))
+    return in_world(policy, None, settings_of([f"task.{key}={value}" for key, value in plain.items()]))
 
 
 def draw(rows: list[dict[str, Any]], target: Path) -> None:

@@ -111,13 +111,13 @@ class Reader:
             self.play(policy, set_, physics)
 
     def play(self, policy, set_, physics, **options):
-        from humanoid_mjx.evaluation.policy import find_policy, in_changed_world
+        from humanoid_mjx.evaluation.policy import find_policy, in_world
 
         if policy in names("robots", ".yaml") or (policy.endswith(".yaml") and Path(policy).is_file()):
             return
         self.has(policy)
         if policy in names("policies", ".npz"):
-            in_changed_world(find_policy(policy), [*(set_ or []), *([f"task.physics={physics}"] if physics else [])])
+            in_world(find_policy(policy), None, [*(set_ or []), *([f"task.physics={physics}"] if physics else [])])
 
     def demo(self, port):
         pass

@@ -81,11 +81,11 @@ def run_sweep(
         summary, quickest = run.summary, run.config.episodes is not None
         learning, paths = draw_run(run, summary)
         if trackers:
-            from humanoid_mjx.evaluation.policy import best_policy, save_policy
+            from humanoid_mjx.evaluation.policy import find_policy, save_policy
 
             tracking.files, policy = list(paths), run.path / "policy.npz"
             with suppress(InputError):  # there is none where all runs stopped at numbers that were not finite
-                save_policy(best_policy(run.path), policy)
+                save_policy(find_policy(run.path), policy)
                 tracking.files.append(policy)
     axes, points = list(learning.axes), ranked(list(learning.axes), summary, quickest)
     print_summary(axes, summary, points, learning.compared, read_provenance(run.path), quickest)

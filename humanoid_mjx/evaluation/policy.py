@@ -133,7 +133,7 @@ def find_policy(name: Path | str, point: int | None = None) -> StoredPolicy:
     name = str(name)
     path, shipped = Path(name), folder("policies") / f"{name}.npz"
     if path.is_dir():
-        return best_policy(path, point)
+        return policies_of_best(path, point, most=1)[0]
     if point is None and (name in ROBOTS or name in names("robots", ".yaml") or kind_of(path) == "robot"):
         return at_rest(name)
     file = path if path.exists() or path.suffix == ".npz" or path.name != name else shipped
@@ -161,22 +161,13 @@ def at_rest(robot: str) -> StoredPolicy:
     return StoredPolicy(group.learner(), policy, 0, 0, config.name, config, {"scores": {}, "provenance": {}})
 
 
-def best_policy(path: Path, point: int | None = None) -> StoredPolicy:
-    """The best run of a run folder's best point (`runs.ranking`), or of the point of this number: the most often
-    successful, among equals the quickest or that of the highest return.
+def policies_of_best(path: Path, point: int | None = None, most: int | None = None) -> list[StoredPolicy]:
+    """The runs of a run folder's best point (`runs.ranking`), or of the point of this number, one for each training
+    seed that is finished: all, or so many at most. First comes the most often successful, among equals the quickest or
+    that of the highest return.
 
     Raises:
       InputError: this is no run folder, nothing in it or of the point is finished, or its files are damaged.
-    """
-    return policies_of_best(path, point, most=1)[0]
-
-
-def policies_of_best(path: Path, point: int | None = None, most: int | None = None) -> list[StoredPolicy]:
-    """The runs of a run folder's best point, or of the point of this number, one for each training seed that is
-    finished: all, or so many at most, the best first.
-
-    Raises:
-      InputError: as `best_policy`.
     """
     data = read_config(path)
     config = parse(data, str(path / "config.yaml"))
@@ -256,17 +247,35 @@ def read_policy(path: Path) -> StoredPolicy:
 
 
 def in_world(trained: StoredPolicy, physics: str | None, overrides: Sequence[str] = ()) -> StoredPolicy:
-    """The same policy, its task simulated by another physics, if one is named, and in a changed world
-    (`in_changed_world`).
+    """The same policy in another world: its task simulated by another physics, if one is named, and values of its task
+    changed, such as "task.friction=0.5".
 
     Raises:
-      InputError: the task has no choice of physics, or not this one.
+      InputError: the task has no choice of physics, or not this one; or what is no value of the task, or one that it
+        cannot have, or that changes what the policy observes or chooses from.
     """
     if physics is not None:
         if "physics" not in type(trained.learner.task).model_fields:
             raise InputError(f"--physics {physics}: the task {trained.config.task['name']} has no choice of physics.")
         overrides = [f"task.physics={physics}", *overrides]
-    return in_changed_world(trained, overrides) if overrides else trained
+    if not overrides:
+        return trained
+    data = {"task": deepcopy(trained.config.task)}
+    check_overrides(overrides)
+    for override in overrides:
+        apply_override(data, override)
+        key = override.partition("=")[0]
+        if not key.startswith("task.") or key == "task.name":
+            raise InputError(f"--set {override}: a policy stays as it is; change its task, as task.friction=0.5 does.")
+        if key in OBSERVED:
+            raise InputError(f"--set {override}: this would change what the policy observes.")
+    config = trained.config.model_copy(update=data)
+    (group,) = make_plan(config).groups
+    learner = group.learner()
+    fits = _shapes(group.policy) == _shapes(trained.policy)
+    if not fits or learner.env.action_bins != trained.learner.env.action_bins:
+        raise InputError(f"--set {' '.join(overrides)}: this would change what the policy observes or chooses from.")
+    return trained._replace(config=config, learner=learner)
 
 
 def in_worlds(
@@ -295,32 +304,7 @@ def on_native(trained: StoredPolicy) -> StoredPolicy:
 def on_plane(trained: StoredPolicy) -> StoredPolicy:
     """The same policy on a level plane, which is all that web pages draw."""
     shaped = getattr(trained.learner.task, "terrain", None)
-    return in_changed_world(trained, ["task.terrain=null"]) if shaped else trained
-
-
-def in_changed_world(trained: StoredPolicy, overrides: Sequence[str]) -> StoredPolicy:
-    """The same policy where values of its task are others, such as "task.friction=0.5".
-
-    Raises:
-      InputError: what is no value of the task, or one that it cannot have, or that changes what the policy observes or
-        chooses from.
-    """
-    data = {"task": deepcopy(trained.config.task)}
-    check_overrides(overrides)
-    for override in overrides:
-        apply_override(data, override)
-        key = override.partition("=")[0]
-        if not key.startswith("task.") or key == "task.name":
-            raise InputError(f"--set {override}: a policy stays as it is; change its task, as task.friction=0.5 does.")
-        if key in OBSERVED:
-            raise InputError(f"--set {override}: this would change what the policy observes.")
-    config = trained.config.model_copy(update=data)
-    (group,) = make_plan(config).groups
-    learner = group.learner()
-    fits = _shapes(group.policy) == _shapes(trained.policy)
-    if not fits or learner.env.action_bins != trained.learner.env.action_bins:
-        raise InputError(f"--set {' '.join(overrides)}: this would change what the policy observes or chooses from.")
-    return trained._replace(config=config, learner=learner)
+    return in_world(trained, None, ["task.terrain=null"]) if shaped else trained
 
 
 def _shapes(policy: Any) -> Any:

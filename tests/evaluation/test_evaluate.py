@@ -16,7 +16,7 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation import evaluate
 from humanoid_mjx.evaluation.episode import play
 from humanoid_mjx.evaluation.evaluate import evaluate_all, held_out_keys, play_out
-from humanoid_mjx.evaluation.policy import best_policy, find_policy, policies_of_best, read_policy, save_policy
+from humanoid_mjx.evaluation.policy import find_policy, policies_of_best, read_policy, save_policy
 from humanoid_mjx.learners.rollout import AGENTS, agent, rollout
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.statistics import estimated
@@ -51,7 +51,7 @@ def leg(tmp_path_factory):
 
 
 def test_the_best_of_a_run_reaches_its_goal_on_the_shortest_way(reach):
-    best = best_policy(reach)
+    best = find_policy(reach)
     assert best.config.learner["learning_rate"] == 0.5 and best.config.sweep is None
     found = play_out(best, "greedy", 20)
     task = make_task("joint_reach", **{k: v for k, v in REACH.items() if k != "name"})
@@ -59,11 +59,11 @@ def test_the_best_of_a_run_reaches_its_goal_on_the_shortest_way(reach):
 
 
 def test_another_point_than_the_best(reach):
-    worse = best_policy(reach, 0)
-    assert worse.point == 0 and worse.config.learner["learning_rate"] == 0.001 and best_policy(reach).point == 1
+    worse = find_policy(reach, 0)
+    assert worse.point == 0 and worse.config.learner["learning_rate"] == 0.001 and find_policy(reach).point == 1
     assert {policy.point for policy in policies_of_best(reach, 0)} == {0}
     with pytest.raises(InputError, match=r"--point 2: .* holds no finished run of it; it has 2, from 0 on"):
-        best_policy(reach, 2)
+        find_policy(reach, 2)
 
 
 def test_the_best_of_a_run_is_the_first_of_its_table(leg):
@@ -71,12 +71,12 @@ def test_the_best_of_a_run_is_the_first_of_its_table(leg):
     run = Run(leg)
     first = ranked(["learner.learning_rate"], run.summary, quickest=False)[0]
     means = [run.summary["greedy_return"][run.summary["point"] == point].mean() for point in range(3)]
-    assert first.point == best_policy(run.path).point == np.argmax(means)
+    assert first.point == find_policy(run.path).point == np.argmax(means)
 
 
 def test_agents_that_do_not_learn(leg):
     """Of each joint the zero agent takes the middle choice: set-points stay. The other takes all choices alike."""
-    best, zero, random = best_policy(leg), [], []
+    best, zero, random = find_policy(leg), [], []
     state = jax.jit(best.learner.env.reset)(rng.key(0))
     for name, found in (("zero", zero), ("random", random)):
         choose = agent(best.learner, best.policy, jnp.int32(AGENTS.index(name)))
@@ -88,7 +88,7 @@ def test_agents_that_do_not_learn(leg):
 
 
 def test_episodes_are_the_same_for_all_and_however_they_are_cut(leg, monkeypatch):
-    best = best_policy(leg)
+    best = find_policy(leg)
     whole = play_out(best, "random", 7)
     monkeypatch.setattr(evaluate, "BLOCK", 4)
     parts = play_out(best, "random", 7)
@@ -107,7 +107,7 @@ def test_a_reward_of_one_for_each_of_ten_steps_is_discounted():
 
 
 def test_a_return_that_falls_while_success_grows_is_explained(reach):
-    best = best_policy(reach)._replace(name="mine")
+    best = find_policy(reach)._replace(name="mine")
     row = {"success": np.ones(4), "return": np.full(4, 20.0), "steps": np.ones(4), "discounted_return": np.full(4, 9.0)}
     waits = row | {"return": np.full(4, 30.0), "discounted_return": np.full(4, 5.0)}
     other = estimated("joint_reach", "random", waits)
@@ -129,7 +129,7 @@ def test_no_training_has_a_key_of_evaluation():
 
 
 def test_what_play_shows_is_an_episode_that_evaluation_counts(leg):
-    best = best_policy(leg)
+    best = find_policy(leg)
     counted, played = play_out(best, "greedy", 3), play(best, episode=2)
     assert len(played.actions) == counted["steps"][2] == 4 and played.success == counted["success"][2]
     assert played.episode_return == pytest.approx(float(counted["return"][2]), rel=1e-4)
@@ -137,7 +137,7 @@ def test_what_play_shows_is_an_episode_that_evaluation_counts(leg):
 
 def test_a_policy_comes_back_from_its_file(reach, leg, tmp_path):
     for path in (reach, leg):
-        best, file = best_policy(path), tmp_path / f"{path.name}.npz"
+        best, file = find_policy(path), tmp_path / f"{path.name}.npz"
         save_policy(best, file)
         again = read_policy(file)
         assert jax.tree.structure(again[:2]) == jax.tree.structure(best[:2]) and again.as_json() == best.as_json()
@@ -149,7 +149,7 @@ def test_a_policy_comes_back_from_its_file(reach, leg, tmp_path):
 
 def test_files_that_are_no_policies(reach, tmp_path):
     good = tmp_path / "good.npz"
-    save_policy(best_policy(reach), good)
+    save_policy(find_policy(reach), good)
     whole = good.read_bytes()
     with np.load(good) as file:
         arrays = dict(file)

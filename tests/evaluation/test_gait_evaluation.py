@@ -15,7 +15,7 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.evaluation.gait.figures import FIGURES
 from humanoid_mjx.evaluation.gait.measure import settings_of
 from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_worlds, scenarios_of
-from humanoid_mjx.evaluation.policy import best_policy, in_changed_world, policies_of_best, save_policy
+from humanoid_mjx.evaluation.policy import find_policy, in_world, policies_of_best, save_policy
 from humanoid_mjx.physics.base import Batches
 from humanoid_mjx.physics.native import Native
 from humanoid_mjx.robot.lower_body import LowerBody
@@ -69,7 +69,7 @@ def runs(tmp_path_factory):
     """The run folder of two training seeds, and one of its policies as a file."""
     folder = tmp_path_factory.mktemp("gaits")
     path = sweep(config(), folder / "tiny").path
-    save_policy(best_policy(path), folder / "one.npz")
+    save_policy(find_policy(path), folder / "one.npz")
     return path, folder / "one.npz"
 
 
@@ -161,9 +161,9 @@ def test_the_command(runs, tmp_path):
 
 
 def test_all_seeds_of_the_best_point(runs):
-    found, best = policies_of_best(runs[0]), best_policy(runs[0])
+    found, best = policies_of_best(runs[0]), find_policy(runs[0])
     assert sorted(policy.seed for policy in found) == [0, 1] and found[0].seed == best.seed
-    changed = in_changed_world(best, ["task.friction=0.5", "task.randomise.mass=0.3"])
+    changed = in_world(best, None, ["task.friction=0.5", "task.randomise.mass=0.3"])
     assert float(changed.learner.task.friction) == 0.5 and float(changed.learner.task.randomise.mass) == np.float32(0.3)
     assert best.config.task["randomise"] is None and best.learner.task.randomise is None
     one = jax.tree.map(lambda x: x[None], best.policy)

@@ -13,7 +13,7 @@ from small_sweep import SWITCHING
 from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation.episode import HOLD_S, motion_of, play, robot_of, rows_of
 from humanoid_mjx.evaluation.film import film_of, show
-from humanoid_mjx.evaluation.policy import best_policy
+from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.posture_switch import LEFT_SIGN
@@ -43,7 +43,7 @@ def small(monkeypatch):
 
 def test_a_motion_is_that_of_the_task(switched):
     """The controller, followed step by step, takes the legs through the states of the task, and holds the last."""
-    trained = best_policy(switched)
+    trained = find_policy(switched)
     played = play(trained)
     motion, task = motion_of(trained, played), trained.learner.task
     decisions, steps = len(played.actions), round(task.period / task.timestep)
@@ -96,7 +96,7 @@ def test_between_long_decisions_a_leg_is_shown_step_by_step(tmp_path):
     task says that it does."""
     leg = {"name": "leg_reach", "physics": "mujoco", "duration": 0.4}
     path = run(tmp_path / "leg", leg, learner={"name": "deep_q", "width": 8, "envs": 4, "rollout": 4}, total_steps=32)
-    trained = best_policy(path)
+    trained = find_policy(path)
     played = play(trained)
     qpos, step_s = rows_of(trained, played)
     assert step_s == pytest.approx(0.005)
@@ -113,7 +113,7 @@ def test_between_long_decisions_a_leg_is_shown_step_by_step(tmp_path):
 def test_a_task_of_ones_own_is_played(tmp_path):
     """Its state is a dict with a world in it; it says what pushes the body and what the body is told."""
     learner = {"name": "deep_q", "width": 8, "envs": 4, "rollout": 4, "evaluation_envs": 2}
-    trained = best_policy(run(tmp_path / "own", {"name": "sway:Sway"}, learner=learner, total_steps=32))
+    trained = find_policy(run(tmp_path / "own", {"name": "sway:Sway"}, learner=learner, total_steps=32))
     played = play(trained)
     film = film_of(trained, played)
     assert film.step_s == 0.04 and len(film.qpos) == 11

@@ -11,7 +11,7 @@ import pytest
 from small_sweep import CONFIG
 
 from humanoid_mjx import InputError, sweep
-from humanoid_mjx.evaluation.policy import best_policy, read_policy, save_policy
+from humanoid_mjx.evaluation.policy import find_policy, read_policy, save_policy
 from humanoid_mjx.runs.archive import read_archive
 
 SIZE = 60_000_000
@@ -26,7 +26,7 @@ def policy(tmp_path_factory):
     """A policy file, and its arrays."""
     folder = tmp_path_factory.mktemp("archive")
     run = sweep(CONFIG | {"sweep": None, "seeds": 1, "episodes": 20}, folder / "run").path
-    save_policy(best_policy(run), folder / "good.npz")
+    save_policy(find_policy(run), folder / "good.npz")
     with np.load(folder / "good.npz") as file:
         return folder / "good.npz", dict(file)
 

@@ -22,7 +22,7 @@ from small_sweep import assert_same_tables
 
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.config import config_digest, load, parse, parse_yaml
-from humanoid_mjx.evaluation.policy import best_policy
+from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.files import whole_file
 from humanoid_mjx.report.style import figure
 from humanoid_mjx.runs.archive import DAMAGE, read_archive
@@ -255,7 +255,7 @@ def test_a_table_without_a_digest_is_damaged(run):
 def test_a_run_belongs_to_a_config_whatever_its_name_and_the_layout_of_the_file(run):
     config = read_config(run)
     (run / "config.yaml").write_text(json.dumps(dict(reversed(config.items())) | {"name": "other"}))
-    assert len(read_table(run / "summary.parquet")["point"]) == 8 and best_policy(run)
+    assert len(read_table(run / "summary.parquet")["point"]) == 8 and find_policy(run)
     (run / "config.yaml").write_text(json.dumps(config | {"seed": 1}))
     assert "config.yaml was edited" in list_runs(run)[1][0]
 
@@ -374,7 +374,7 @@ def test_names_are_not_taken_for_markup(run, said):
     odd = run.rename(run.parent / "[red]a:bug:[")
     code, _, err = said("runs", run.parent)
     assert code == 0 and not err
-    assert best_policy(odd).name == "[red]a:bug:["
+    assert find_policy(odd).name == "[red]a:bug:["
     assert said("evaluate", odd, "--episodes", 2, "--json", run.parent / "[b].json")[0] == 0
     assert (run.parent / "[b].json").exists()
 

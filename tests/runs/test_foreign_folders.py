@@ -17,7 +17,7 @@ import small_sweep
 from small_sweep import assert_same_tables
 
 from humanoid_mjx import InputError, sweep
-from humanoid_mjx.evaluation.policy import best_policy, policies_of_best
+from humanoid_mjx.evaluation.policy import find_policy, policies_of_best
 from humanoid_mjx.files import whole_file
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.listing import list_runs
@@ -71,7 +71,7 @@ def test_links_within_a_run_folder_and_to_one_are_none_of_these(run, finished):
     (run / PART).rename(run / "stored.npz")
     (run / PART).symlink_to("../stored.npz")
     Path("other").symlink_to(run.resolve())
-    assert read_config(Path("other")) and best_policy(Path("other"))
+    assert read_config(Path("other")) and find_policy(Path("other"))
     assert_same_tables(sweep(CONFIG, Path("other"), resume=True).path, finished)
 
 
