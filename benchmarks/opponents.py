@@ -26,8 +26,9 @@ from timing import Record, Subject, on_all_devices, time_rates
 
 from humanoid_mjx import compute
 from humanoid_mjx.config import load
+from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.robot.leg import Leg
-from humanoid_mjx.robot.legs import make_mjspec
+from humanoid_mjx.robot.legs import add_chain
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.sweep import sweep
 
@@ -80,9 +81,17 @@ def mujoco(batch: int, steps: int) -> Callable[[], Any]:
     return native_rollout(_mujoco_model(), *start(batch), steps)
 
 
+def make_mjspec(chain: Chain, timestep: float = TIMESTEP) -> mj.MjSpec:
+    """The chain as a model, frame 0 being the world, with this time step, s."""
+    spec = mj.MjSpec()
+    add_chain(spec.worldbody, chain, [f"joint{i + 1}" for i in range(chain.num_joints)])
+    spec.option.timestep, spec.option.gravity = timestep, np.asarray(chain.gravity, np.float64)
+    return spec
+
+
 def _mujoco_model() -> Any:
     """The leg, without the stages that find neither contacts nor constraints in it."""
-    model = make_mjspec(Leg.physical(), TIMESTEP).compile()
+    model = make_mjspec(Leg.physical()).compile()
     model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_CONSTRAINT | mj.mjtDisableBit.mjDSBL_CONTACT
     return model
 

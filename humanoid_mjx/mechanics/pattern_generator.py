@@ -5,9 +5,8 @@ Each leg has a phase oscillator. The two pull each other into antiphase,
     theta_right' = 2 pi f + k sin(theta_left - theta_right - pi),    theta_left' the same with the legs exchanged,
 
 and the gait, read at a leg's phase, gives its joints. Frequency and amplitude follow their commands as critically
-damped systems of second order: the joints' accelerations stay continuous when the frequency's command jumps, their
-velocities when the amplitude's does. All of this has a closed solution while the commands stand, which `step` uses:
-steps of any length are exact.
+damped systems of second order, so that the joints' velocities stay continuous when a command jumps. All of this has a
+closed solution while the commands stand, which `step` uses: steps of any length are exact.
 """
 
 from typing import NamedTuple
@@ -16,7 +15,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics.gaits import Gait
-from humanoid_mjx.mechanics.trajectories import Motion
 from humanoid_mjx.types import FloatScalar
 
 IN_STEP = jnp.pi
@@ -66,40 +64,24 @@ def init(params: Params, phase: FloatScalar = 0.0, lead: FloatScalar = IN_STEP) 
     )
 
 
-def step(params: Params, state: State, dt: FloatScalar) -> tuple[State, Motion]:
-    """The state `dt` seconds later, the commands standing, and the motion of both legs then."""
+def step(params: Params, state: State, dt: FloatScalar) -> State:
+    """The state `dt` seconds later, the commands standing."""
     frequency, turns = _follow(state.frequency, params.frequency, params.response, dt)
     amplitude, _ = _follow(state.amplitude, params.amplitude, params.response, dt)
-    before = _out_of_step(state.phase)
+    off = state.phase[1] - state.phase[0] - IN_STEP
+    before = jnp.arctan2(jnp.sin(off), jnp.cos(off))  # the left leg's distance from antiphase, rad in [-pi, pi]
     after = 2 * jnp.arctan2(jnp.sin(before / 2) * jnp.exp(-2 * params.coupling * dt), jnp.cos(before / 2))
     right = state.phase[0] + 2 * jnp.pi * turns + (before - after) / 2
     phase = jnp.mod(jnp.stack([right, right + IN_STEP + after]), 2 * jnp.pi)
-    new = State(phase, frequency, amplitude)
-    return new, motion(params, new)
+    return State(phase, frequency, amplitude)
 
 
-def motion(params: Params, state: State) -> Motion:
-    """The motion of the right and the left leg, (2, 5): what the joints of a state do now."""
-    gait = params.gait
+def posture(params: Params, state: State) -> Float[Array, "2 5"]:
+    """The joints of the right and the left leg in a state, rad."""
+    gait, middle = params.gait, mean_posture(params.gait)
     per_radian = gait.period / (2 * jnp.pi)
-    rows = [gait.at(phase * per_radian) for phase in state.phase]
-    position, slope, curve = (jnp.stack(x) for x in zip(*rows, strict=True))
-    slope, curve = slope * per_radian, curve * per_radian**2
-    off = _out_of_step(state.phase)
-    pull = params.coupling * jnp.stack([jnp.sin(off), -jnp.sin(off)])
-    bend = params.coupling * jnp.cos(off) * (pull[1] - pull[0]) * jnp.array([1.0, -1.0], pull.dtype)
-    speed = (2 * jnp.pi * state.frequency.value + pull)[:, None]
-    gain = (2 * jnp.pi * state.frequency.rate + bend)[:, None]
-    size, growth = state.amplitude
-    surge = params.response**2 * (params.amplitude - size) - 2 * params.response * growth
-    middle = mean_posture(gait)
-    return Motion(
-        position=middle + size * (position - middle),
-        velocity=size * slope * speed + growth * (position - middle),
-        acceleration=size * (curve * speed**2 + slope * gain)
-        + 2 * growth * slope * speed
-        + surge * (position - middle),
-    )
+    legs = jnp.stack([gait.at(phase * per_radian).position for phase in state.phase])
+    return middle + state.amplitude.value * (legs - middle)
 
 
 def mean_posture(gait: Gait) -> Float[Array, "5"]:
@@ -107,12 +89,6 @@ def mean_posture(gait: Gait) -> Float[Array, "5"]:
     spans = jnp.diff(gait.knots)
     powers = spans[:, None] ** jnp.arange(1, 5, dtype=spans.dtype) / jnp.arange(1, 5, dtype=spans.dtype)
     return jnp.einsum("sk,skj->j", powers, gait.coefficients, precision="highest") / gait.period
-
-
-def _out_of_step(phase: Float[Array, "2"]) -> Float[Array, ""]:
-    """Return the left leg's distance from antiphase, rad in [-pi, pi]."""
-    off = phase[1] - phase[0] - IN_STEP
-    return jnp.arctan2(jnp.sin(off), jnp.cos(off))
 
 
 def _follow(

@@ -1,5 +1,6 @@
 """Physics, which move the robots. `make_physics("mjx-jax", timestep=0.002)` builds and checks a physics."""
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 from humanoid_mjx.physics.base import Physics
@@ -44,3 +45,7 @@ def make_physics(name: str, base: type[Physics] = Physics, /, **params: Any) -> 
       InputError: unknown name or parameter, a value out of range, or a package that is not installed.
     """
     return make("physics", PHYSICS, base, name, **params)
+
+
+kept_physics: Any = lru_cache(make_physics)
+"""`make_physics` for tasks, which ask for their physics often: the same object for the same values."""

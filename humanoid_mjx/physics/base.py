@@ -38,6 +38,7 @@ class World(NamedTuple):
 
 
 T = TypeVar("T")
+SomeTree = TypeVar("SomeTree")
 
 
 class Once(Generic[T]):
@@ -127,8 +128,8 @@ def freeze_if_diverged(old: World, new: World) -> World:
     return where(old.diverged | ~sound, old._replace(diverged=jnp.bool_(True)), new)
 
 
-def where(mask: BoolScalar, chosen: World, other: World) -> World:
-    """Return the one world where `mask` is true, else the other."""
+def where(mask: BoolScalar, chosen: SomeTree, other: SomeTree) -> SomeTree:
+    """Return the one pytree, such as a world, where `mask` is true, else the other."""
     return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)
 
 
@@ -232,8 +233,4 @@ class Physics(Spec):
 
     def sense(self, world: World, torque: Any) -> Sensed:
         """Return everything about this state while `torque` acts."""
-        raise NotImplementedError
-
-    def poses(self, world: World) -> Poses:
-        """Return the poses of the bodies."""
         raise NotImplementedError

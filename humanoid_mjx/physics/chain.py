@@ -101,14 +101,14 @@ class ChainPhysics(Physics):
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
         still, nowhere = jnp.zeros(3, world.qpos.dtype), jnp.zeros((0, 3), world.qpos.dtype)
         readings = Readings(world.qpos, still, still.at[2].set(GRAVITY), still[: len(self.robot.sides)])
-        poses, rates = jax.jvp(lambda qpos: self.poses(world._replace(qpos=qpos)), (world.qpos,), (world.qvel,))
+        poses, rates = jax.jvp(self._poses, (world.qpos,), (world.qvel,))
         angular = angular_velocity(poses.rotation, rates.rotation)
         nothing = GroundContacts(nowhere, nowhere, nowhere[:, 0])
         return Sensed(readings, poses, Velocities(rates.position, angular), nothing, jnp.asarray(torque))
 
-    def poses(self, world: World) -> Poses:
+    def _poses(self, qpos: Float[AnyArray, " nq"]) -> Poses:
         position, rotation = [jnp.zeros(3)], [jnp.eye(3)]
-        for mirror, q in zip((np.eye(3), MIRROR), _by_leg(world.qpos), strict=False):
+        for mirror, q in zip((np.eye(3), MIRROR), _by_leg(qpos), strict=False):
             for pose in frames(self.leg, q)[1:]:
                 position.append(mirror @ FRAME_0 @ pose[:3, 3])
                 rotation.append(mirror @ FRAME_0 @ pose[:3, :3] @ mirror)

@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from humanoid_mjx import compute
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.physics.base import Controller, Poses, Sensed, World, freeze_if_diverged
+from humanoid_mjx.physics.base import Controller, Poses, Sensed, World, freeze_if_diverged, where
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, below
 from humanoid_mjx.types import AnyArray
@@ -67,7 +67,7 @@ class MjxJax(MujocoPhysics):
             world, before = carry
             new, data = self._cycle(model, blank, world, controller, sensed=True)
             now = self._seen(data)
-            return (new, jax.tree.map(lambda old, new_: jnp.where(new.diverged, old, new_), before, now)), None
+            return (new, where(new.diverged, before, now)), None
 
         shapes = jax.eval_shape(lambda: self._seen(blank))
         nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
@@ -105,10 +105,6 @@ class MjxJax(MujocoPhysics):
             of_corner = (contact.geom[rows][:, :, None] == balls).any(axis=1)
             total += data._impl.efc_force[edges].sum(axis=1) @ of_corner.astype(data.qpos.dtype)
         return total
-
-    def poses(self, world: World) -> Poses:
-        data = mjx.kinematics(self._put(), self._blank_data().replace(qpos=world.qpos))
-        return Poses(data.xpos, data.xmat.reshape(-1, 3, 3))
 
     def _put(self) -> Any:
         """The mjx.Model with the traced values in it."""

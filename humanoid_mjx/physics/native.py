@@ -73,9 +73,6 @@ class Native(MujocoPhysics):
         torque = jnp.asarray(torque, float)
         return self._seen(world.qpos, torque, self._moved(world, torque, sensed=True)[-1])
 
-    def poses(self, world: World) -> Poses:
-        return self.sense(world, jnp.zeros(self.model.nu)).poses
-
     def _cycle(self, world: World, controller: Controller, sensed: bool) -> tuple[World, Array, Array]:
         """Return the world after a time step, the torque that acted, and the sensors' readings before it."""
         motion = Once(partial(self._motion, world))

@@ -88,9 +88,6 @@ class TreePhysics(MujocoPhysics):
         seen = self._move(_advance_sensed, values, world, torque, jnp.bool_(True))[1]
         return self._seen(world.qpos[self.joint_qpos], torque, seen)
 
-    def poses(self, world: World) -> Poses:
-        return Poses(*one_world(sensing.poses, self.tree)(self._state(self._values(), world)))
-
     def _seen(self, encoders: Any, torque: Any, seen: tuple[Any, ...]) -> Sensed:
         turning, felt, position, rotation, linear, angular, forces = seen
         poses, velocities = Poses(position, rotation), Velocities(linear, angular)

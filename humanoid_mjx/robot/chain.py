@@ -93,11 +93,6 @@ class Chain:
         """Number of joints, which is that of links."""
         return len(self.structure.alpha)
 
-    @property
-    def mass(self) -> Float[Array, "*batch joints"]:
-        """kg"""
-        return self.pseudo_inertia[..., 3, 3]
-
     def scaled(self: SomeChain, mass: Any = 1.0) -> SomeChain:
         """The same chain with every link's inertia multiplied by `mass`: a number, or one for each link."""
         factor = jnp.broadcast_to(jnp.asarray(mass, self.pseudo_inertia.dtype), (self.num_joints,))
@@ -115,11 +110,8 @@ class Chain:
 
 
 def check_pseudo_inertia(matrix: np.ndarray, what: str) -> None:
-    """Refuse a pseudo-inertia that no distribution of mass has.
-
-    Raises:
-      InputError: it is not symmetric, or not positive semi-definite.
-    """
+    """Raise an InputError if no distribution of mass has this pseudo-inertia: it must be symmetric and positive
+    semi-definite."""
     if not np.allclose(matrix, matrix.T, rtol=1e-12, atol=0):
         raise InputError(f"pseudo_inertia of {what} must be symmetric.")
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))

@@ -391,11 +391,8 @@ def _feet(names: Sequence[str], spec: mujoco.MjSpec) -> tuple[tuple[str, ...], t
 def _by_joint(
     key: str, given: dict[str, float] | None, joints: Sequence[str], otherwise: np.ndarray, least: float = 0.0
 ) -> Float[np.ndarray, " joints"]:
-    """Numbers of the joints from those by patterns, `otherwise` where none fits.
-
-    Raises:
-      InputError: a pattern fits no joint, or its number is below `least`.
-    """
+    """Numbers of the joints from those by patterns, `otherwise` where none fits. Raise an InputError if a pattern
+    fits no joint or its number is below `least`."""
     values = otherwise.astype(float)
     for pattern, number in reversed((given or {}).items()):
         fits = [bool(re.fullmatch(pattern, joint)) for joint in joints]

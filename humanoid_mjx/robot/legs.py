@@ -27,20 +27,6 @@ SMALLEST_INERTIA = 1e-13
 1e-15."""
 
 
-def make_mjspec(chain: Chain, timestep: float = 0.002) -> Any:
-    """The chain as a `mujoco.MjSpec`, frame 0 being the world, with this time step, s.
-
-    Raises:
-      InputError: the values are traced or batched, or a link has no mass.
-    """
-    spec = mujoco.MjSpec()
-    spec.option.timestep = timestep
-    names = JOINT_NAMES if isinstance(chain, Leg) else [f"joint{i + 1}" for i in range(chain.num_joints)]
-    add_chain(spec.worldbody, chain, names)
-    spec.option.gravity = np.asarray(chain.gravity, np.float64)
-    return spec
-
-
 def add_chain(parent: Any, chain: Chain, joint_names: Sequence[str], prefix: str = "", mirrored: bool = False) -> Any:
     """Add a chain's bodies, called `prefix`link1, link2, ..., to the body that is its frame 0; the last of them.
 

@@ -36,14 +36,10 @@ def check_task(task: Task) -> str:
     if cls.__module__.partition(".")[0] == __name__.partition(".")[0]:
         return ""
     with _faults_as_sentences(cls):
-        jax.eval_shape(_check_protocol, jax.tree.map(jnp.asarray, task))
+        check: Any = _check_finite if isinstance(task, FiniteTask) else _check_continuous
+        jax.eval_shape(lambda task: check(task, cls.__name__, rng.key(0)), jax.tree.map(jnp.asarray, task))
         # The physics of a robot takes long to compile.
         return _check_numbers(task) if getattr(task, "simulator", None) is None else ""
-
-
-def _check_protocol(task: Any) -> None:
-    check: Any = _check_finite if isinstance(task, FiniteTask) else _check_continuous
-    check(task, type(task).__name__, rng.key(0))
 
 
 @contextmanager

@@ -6,7 +6,6 @@ step of the physics a control law, by default computed torque, drives both legs 
 opposite values (6.4). The learner knows the joints only by the encoders of the right leg.
 """
 
-from functools import lru_cache
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
@@ -17,7 +16,7 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx.control import Control, Reference
 from humanoid_mjx.control.laws import ComputedTorqueLaw
-from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics import kept_physics
 from humanoid_mjx.physics.base import Controller, Physics, World
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -82,7 +81,7 @@ class PostureSwitch(FiniteTask):
     @property
     def simulator(self) -> Physics:
         """The physics that moves the legs."""
-        return _simulator(self.physics, self.timestep)
+        return kept_physics(self.physics, robot="legs", timestep=self.timestep)
 
     @property
     def grid(self) -> Float[np.ndarray, "3 places"]:
@@ -164,8 +163,3 @@ class PostureSwitch(FiniteTask):
     def _places(self, encoders: Float[Array, "3"]) -> Int[Array, "3"]:
         """The nearest place of each moved joint."""
         return jnp.clip(jnp.round(self._way(encoders) * (self.places - 1)), 0, self.places - 1).astype(jnp.int32)
-
-
-@lru_cache
-def _simulator(name: str, timestep: float) -> Physics:
-    return make_physics(name, robot="legs", timestep=timestep)

@@ -4,7 +4,6 @@ As in `posture_switch`, Q-learning decides where hip pitch, knee and ankle go, a
 there; here both legs do the same, and the law keeps within what the contacts of the feet allow.
 """
 
-from functools import lru_cache
 from typing import Literal
 
 import jax.numpy as jnp
@@ -15,7 +14,7 @@ from pydantic import Field
 from humanoid_mjx.control import Control
 from humanoid_mjx.control.laws import GroundedLaw
 from humanoid_mjx.mechanics.rotations import rotation_matrix
-from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics import kept_physics
 from humanoid_mjx.physics.base import World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot import make_robot
@@ -51,7 +50,7 @@ class Squat(PostureSwitch):
 
     @property
     def simulator(self) -> MujocoPhysics:
-        return _simulator(self.physics, self.timestep)
+        return kept_physics(self.physics, MujocoPhysics, robot=ROBOT, timestep=self.timestep)
 
     @property
     def grid(self) -> Float[np.ndarray, "3 places"]:
@@ -114,8 +113,3 @@ ROBOT = make_robot("lower_body", ranges="human")
 DOWN = -ROBOT.ranges_rad[JOINT_NAMES.index("ankle_pitch"), 0] * SHORTENED[list(MOVED)]
 """Hip pitch, knee and ankle of the lowest posture, rad: the soles stay flat below an upright torso, and the ankle is at
 the end of its range. The hips are 11 mm lower."""
-
-
-@lru_cache
-def _simulator(name: str, timestep: float) -> MujocoPhysics:
-    return make_physics(name, MujocoPhysics, robot=ROBOT, timestep=timestep)

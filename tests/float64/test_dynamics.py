@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 from jax.test_util import check_grads
+from opponents import make_mjspec
 
 from humanoid_mjx import compute
 from humanoid_mjx.mechanics import dynamics
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.robot.leg import ALONG_THE_LEG, AS_PRINTED, Leg
-from humanoid_mjx.robot.legs import make_mjspec
 
 GRAVITIES = {"along_the_leg": ALONG_THE_LEG, "as_printed": AS_PRINTED}
 SETS = {"thesis": Leg.thesis, "matlab_script": Leg.matlab_script}

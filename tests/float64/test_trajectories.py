@@ -1,7 +1,5 @@
 """Trajectories, gaits and the pattern generator in double precision, against scipy and finite differences."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +23,16 @@ quintic_at = jax.jit(jax.vmap(trajectories.Quintic.at, in_axes=(None, 0)))
 make_quintic = jax.jit(trajectories.quintic)
 gait_at = jax.jit(jax.vmap(gaits.Gait.at, in_axes=(None, 0)))
 legs_at = jax.jit(jax.vmap(gaits.Gait.both_legs, in_axes=(None, 0)))
-unequal_steps = jax.jit(lambda params, state, dt: jax.lax.scan(partial(cpg.step, params), state, dt))
+
+
+@jax.jit
+def unequal_steps(params, state, dt):
+    def step(state, dt):
+        state = cpg.step(params, state, dt)
+        return state, cpg.posture(params, state)
+
+    return jax.lax.scan(step, state, dt)
+
 
 boundary = st.lists(st.floats(-5, 5), min_size=3, max_size=3)
 
@@ -85,8 +92,7 @@ def test_linear_gait_goes_straight_between_the_points():
 
 
 def run(params, state, dt, n):
-    state, motions = unequal_steps(params, state, jnp.full(n, dt))
-    return state, jax.tree.map(np.array, motions)
+    return unequal_steps(params, state, jnp.full(n, dt))
 
 
 def test_pattern_generator_settles_into_the_gait():
@@ -94,10 +100,9 @@ def test_pattern_generator_settles_into_the_gait():
     for seed, lead in enumerate((0.3, -2.0, 3.0, 5.5)):
         start = cpg.init(params, phase=float(seed), lead=lead)
         state, _ = run(params, start, 0.01, 600)
-        _, motions = run(params, state, 0.01, 80)
+        _, legs = run(params, state, 0.01, 80)
         t = float(state.phase[0]) / (2 * np.pi) * 0.8 + 0.01 * np.arange(1, 81)
-        for ours, table in zip(motions, legs_at(TURN, t), strict=True):
-            np.testing.assert_allclose(ours, table, atol=1e-7)
+        np.testing.assert_allclose(legs, legs_at(TURN, t).position, atol=1e-7)
 
 
 def test_antiphase_is_stable_and_in_phase_is_not():

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from leg_reference import GOLDEN
+from opponents import make_mjspec
 
 from humanoid_mjx import InputError, Leg
 from humanoid_mjx.robot.leg import corrected_inertias, cylinder_inertias, script_inertias
-from humanoid_mjx.robot.legs import make_mjspec
 from humanoid_mjx.thesis import leg as thesis
 
 

@@ -351,15 +351,15 @@ def test_rewards_have_the_values_of_their_formulas():
         "calm": 1 - 0.125,
         "speed": speed,
         "turn": turn,
-        "tilted_feet": 5 * np.sin(0.1) ** 2,
+        "flat": 5 * np.sin(0.1) ** 2,
         "yawing": 0.1**2,
-        "jumps": 0.025,
+        "smooth": 0.025,
         "effort": 0.25**2,
     }
     # Scales of a robot have two digits.
     for name, value in expected.items():
         assert float(getattr(rewards, name)(view)) == pytest.approx(value, rel=0.02), name
-    assert rewards.tilted_feet(view._replace(feet=feet._replace(corner_force=jnp.zeros((2, 4))))) == 0.0
+    assert rewards.flat(view._replace(feet=feet._replace(corner_force=jnp.zeros((2, 4))))) == 0.0
     changed = {"upright": 20.0, "still": 0.28, "speed_near": 0.01, "turn_far": 4.0}
     shapes, near = rewards.Shapes(**changed), 0.01 * BODY.pace**2
     for name, value in {

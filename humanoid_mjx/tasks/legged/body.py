@@ -1,6 +1,5 @@
 """The body of a legged task: a robot in a physics, its posture, its joints' law, the values of its world."""
 
-from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -16,7 +15,7 @@ from humanoid_mjx.control.laws import RobotServoLaw, ServoLaw
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics.rotations import leaning_quaternion, product, rotate, unit
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics import kept_physics
 from humanoid_mjx.physics.base import Sensed, World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot import Robot, RobotKey, make_robot
@@ -112,7 +111,7 @@ class LeggedBody(ContinuousTask):
     @property
     def simulator(self) -> MujocoPhysics:
         """The physics of the body, with the robot's own values."""
-        return _simulator(self.physics, self.robot, self.timestep)
+        return kept_physics(self.physics, MujocoPhysics, robot=self.robot, timestep=self.timestep)
 
     @property
     def plant(self) -> Plant:
@@ -173,8 +172,3 @@ class LeggedBody(ContinuousTask):
         if not watched:
             return physics.run_sensed(world, controller, cycles)
         return jax.lax.scan(lambda world, _: physics.run_sensed(world, controller, 1), world, length=cycles)
-
-
-@lru_cache
-def _simulator(name: str, robot: Robot, timestep: float) -> MujocoPhysics:
-    return make_physics(name, MujocoPhysics, robot=robot, timestep=timestep)

@@ -39,11 +39,7 @@ class Gait(Named):
     stance: float = traced(0.62, ge=0.5, lt=1, description="share of the period in which a foot is to stand")
 
     def check(self, robot: Robot) -> None:
-        """Refuse a robot for which this gait is not defined.
-
-        Raises:
-          InputError: the robot's legs do not fit the gait.
-        """
+        """Raise an InputError if the robot's legs do not fit the gait."""
 
     def start(self, phase: FloatScalar, robot: Robot) -> Clock:
         """The gait at the beginning of an episode."""

@@ -1,8 +1,8 @@
 """Terms of rewards, plain functions of a view, and the Specs that give them weights.
 
 A weight is a traced field with the name of its term: `task.rewards.slip` can be swept, and so can the numbers that
-shape the terms, such as `task.rewards.shapes.upright`. To add a term, derive from a Spec below, declare a field for the
-weight and add an entry to `terms`.
+shape the terms, such as `task.rewards.shapes.upright`. To add a term of your own, derive from a Spec below, declare a
+field for the weight and add an entry to what `terms` returns.
 """
 
 from collections.abc import Callable
@@ -51,7 +51,7 @@ SHAPES = Shapes()
 
 
 class Rewards(Spec):
-    """Base of rewards: declare a weight for each term, and give the terms by name."""
+    """Base of rewards: declare a weight for each term of `TERMS`, and add others in `terms`."""
 
     shapes: Shapes = Field(default=SHAPES, description="numbers that shape the terms")
 
@@ -61,8 +61,8 @@ class Rewards(Spec):
         return {key: value for key, value in write(self).items() if key != "shapes" or self.shapes != SHAPES}
 
     def terms(self, view: View) -> dict[str, FloatScalar]:
-        """The terms without their weights."""
-        raise NotImplementedError
+        """The terms without their weights: those of `TERMS` that have a weight."""
+        return {name: TERMS[name](view, self.shapes) for name in type(self).model_fields if name in TERMS}
 
     def weighted(self, view: View) -> dict[str, FloatScalar]:
         """The parts of the reward by name; it is their sum.
@@ -87,14 +87,6 @@ class StandRewards(Rewards):
     still: float = traced(0.2, description="for hips that do not move")
     calm: float = traced(0.1, description="for set-points near the posture")
 
-    def terms(self, view: View) -> dict[str, FloatScalar]:
-        return {
-            "alive": 1.0,
-            "upright": upright(view, self.shapes),
-            "still": still(view, self.shapes),
-            "calm": calm(view),
-        }
-
 
 class WalkRewards(Rewards):
     """Do as commanded, step by the gait's clock, keep upright, and neither slip, fly nor cross the feet.
@@ -115,21 +107,10 @@ class WalkRewards(Rewards):
     smooth: float = traced(-0.12, description="for set-points that jump")
     effort: float = traced(-0.006, description="for torque")
 
-    def terms(self, view: View) -> dict[str, FloatScalar]:
-        return {
-            "speed": speed(view, self.shapes),
-            "turn": turn(view, self.shapes),
-            "upright": upright(view, self.shapes),
-            "schedule": schedule(view, self.shapes),
-            "clearance": clearance(view, self.shapes),
-            "flight": flight(view, self.shapes),
-            "slip": slip(view, self.shapes),
-            "flat": tilted_feet(view, self.shapes),
-            "crossing": crossing(view, self.shapes),
-            "yawing": yawing(view),
-            "smooth": jumps(view),
-            "effort": effort(view),
-        }
+
+def alive(view: View, _: Shapes = SHAPES) -> FloatScalar:
+    """1 in every step."""
+    return jnp.float32(1.0)
 
 
 def upright(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
@@ -142,7 +123,7 @@ def still(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     return jnp.exp(-jnp.sum(view.episode.world.qvel[:3] ** 2) / view.robot.speed(shapes.still) ** 2)
 
 
-def calm(view: View) -> FloatScalar:
+def calm(view: View, _: Shapes = SHAPES) -> FloatScalar:
     """1 less the mean square of the offsets."""
     return 1.0 - jnp.mean(view.episode.offsets**2)
 
@@ -191,7 +172,7 @@ def slip(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     )
 
 
-def tilted_feet(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
+def flat(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     """Five times the squared sines of the tilts of loaded feet, summed; at most 1; 0 for feet of one or two points."""
     if view.robot.points < 3:
         return jnp.float32(0.0)
@@ -209,7 +190,7 @@ def crossing(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
     return jnp.minimum((lack / view.robot.length(shapes.crossing)) ** 2, 2.0)
 
 
-def yawing(view: View) -> FloatScalar:
+def yawing(view: View, _: Shapes = SHAPES) -> FloatScalar:
     """The squared deviation of the turn-rate error from its running mean, (rad/s)^2; at most 1.
 
     A torso that oscillates about the vertical with its steps has no mean error, but does not keep its heading.
@@ -217,11 +198,21 @@ def yawing(view: View) -> FloatScalar:
     return jnp.minimum((view.turn_rate - view.command[2] - view.episode.tracking_error[2]) ** 2, 1.0)
 
 
-def jumps(view: View) -> FloatScalar:
+def smooth(view: View, _: Shapes = SHAPES) -> FloatScalar:
     """The mean square of the offsets' changes."""
     return jnp.mean((view.episode.offsets - view.last_offsets) ** 2)
 
 
-def effort(view: View) -> FloatScalar:
+def effort(view: View, _: Shapes = SHAPES) -> FloatScalar:
     """The mean square of the torques as shares of the robot's own limit."""
     return jnp.mean((view.torque / view.robot.torque_limits) ** 2)
+
+
+TERMS: dict[str, Callable[[View, Shapes], FloatScalar]] = {
+    term.__name__: term
+    for term in [
+        *(alive, upright, still, calm, speed, turn, schedule, clearance, flight, slip, flat),
+        *(crossing, yawing, smooth, effort),
+    ]
+}
+"""The terms by name."""

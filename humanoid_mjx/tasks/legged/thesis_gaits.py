@@ -67,7 +67,6 @@ class Oscillators(TableSteps):
     """
 
     name: Literal["oscillators"] = "oscillators"
-    coupling: float = traced(4.0, gt=0, le=100, description="of the two oscillators, 1/s")
     response: float = traced(8.0, gt=0, le=100, description="how fast they follow their commands, 1/s")
 
     def start(self, phase: FloatScalar, robot: Robot) -> Clock:
@@ -76,11 +75,11 @@ class Oscillators(TableSteps):
 
     def after(self, clock: Clock, command: Float[Array, "3"], seconds: FloatScalar, robot: Robot) -> Clock:
         """The oscillators so much later; while the body stands they wait where they are."""
-        state, _ = pattern_generator.step(self._params(command, robot), clock.generator, seconds)
+        state = pattern_generator.step(self._params(command, robot), clock.generator, seconds)
         return Clock(jnp.mod(state.phase[0] / (2 * jnp.pi) - FORTH, 1.0), state)
 
     def reference(self, clock: Clock, command: Float[Array, "3"], robot: Robot) -> Float[Array, " joints"]:
-        legs = pattern_generator.motion(self._params(command, robot), clock.generator).position
+        legs = pattern_generator.posture(self._params(command, robot), clock.generator)
         return (legs - pattern_generator.mean_posture(self.motion)).reshape(-1)
 
     def _params(self, command: Float[Array, "3"], robot: Robot) -> pattern_generator.Params:
@@ -89,7 +88,6 @@ class Oscillators(TableSteps):
             self.motion,
             frequency=jnp.where(moving, 1.0 / self.cycle_time(command), 0.0),
             amplitude=jnp.where(moving, self.amplitude(command, robot), 0.0),
-            coupling=self.coupling,
             response=self.response,
         )
 
