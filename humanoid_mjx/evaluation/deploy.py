@@ -71,11 +71,7 @@ def write_contract(contract: dict[str, Any], file: Path) -> Path:
 
 
 def check_place(file: Path) -> None:
-    """Check that no other file stands in the place of the contract.
-
-    Raises:
-      InputError: one does.
-    """
+    """Raise an InputError if another file stands in the place of the contract."""
     path = file.with_suffix(".json")
     if path.exists() and not (path.is_file() and FORMAT in path.read_text(encoding="utf-8", errors="replace")):
         raise InputError(f"{path}: the contract of {file.name} goes here, but another file is in its place; move it.")

@@ -26,7 +26,7 @@ from humanoid_mjx.report.parameters import draw_importance, draw_parallel, draw_
 from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades
 from humanoid_mjx.runs.curves import Learning, read_learning
 from humanoid_mjx.runs.folder import read_config
-from humanoid_mjx.runs.ranking import MEASURES, SAME, Judged, find_levels, short
+from humanoid_mjx.runs.ranking import MEASURES, SAME, find_levels, short
 from humanoid_mjx.training.sweep import Run
 
 MAX_CURVES = 8
@@ -251,15 +251,11 @@ def parameters(learning: Learning) -> list[Figure]:
     judged, axes = [each for each in learning.compared[:2] if each.measure], learning.axes
     if not judged or len(axes) < 2 or learning.mode in ("zip", "halving") or len(learning.points) < 2:
         return []
-    shares = [Figure(MEASURES[each.measure], (), partial(_shares, judged=each)) for each in judged]
+    shares = [Figure(MEASURES[each.measure], (), partial(draw_importance, judged=each)) for each in judged]
     if learning.mode != "random":
         return shares
     points = [Figure(axis, (), partial(draw_points, axis=axis)) for axis in axes]
     return [*points, *shares, Figure("a line a point; bold: as good as the best", (), draw_parallel)]
-
-
-def _shares(panel: Any, learning: Learning, axis_name: str | None, judged: Judged) -> dict[str, float]:
-    return draw_importance(panel, judged)
 
 
 def _mirrors(one: np.ndarray, other: np.ndarray) -> bool:

@@ -31,20 +31,11 @@ def gait_table(title: str, gaits: Sequence[Gait], beyond: Sequence[str] = ()) ->
     """The main figures of the policy under each command."""
     columns = (Column(heading, justify="right") for heading, *_ in COLUMNS)
     table = Table("command", *columns, title=title, title_justify="left", padding=(0, 0), pad_edge=False)
-    for row in gait_rows(gaits, beyond):
-        table.add_row(*row)
+    for gait in (gait for gait in gaits if gait.agent == "greedy"):
+        ways = {"forward": "left" if gait.command[1] else "forward"}
+        cells = (_cell(gait.figures[ways.get(name, name)], form, ends) for _, name, form, ends in COLUMNS)
+        table.add_row(gait.scenario + " *" * (gait.scenario in beyond), *cells)
     return table
-
-
-def gait_rows(gaits: Sequence[Gait], beyond: Sequence[str] = ()) -> list[list[str]]:
-    """The policy's rows of a gait table: command, and a cell for each of `COLUMNS`."""
-    rows = []
-    for gait in gaits:
-        if gait.agent == "greedy":
-            ways = {"forward": "left" if gait.command[1] else "forward"}
-            cells = (_cell(gait.figures[ways.get(name, name)], form, ends) for _, name, form, ends in COLUMNS)
-            rows.append([gait.scenario + " *" * (gait.scenario in beyond), *cells])
-    return rows
 
 
 def meanings() -> dict[str, str]:
@@ -56,20 +47,15 @@ def meanings() -> dict[str, str]:
 def _cell(summary: Summary, form: str, ends: bool) -> str:
     if not np.isfinite(summary.median):
         return ""
-    value = _short(summary.median, form)
-    return f"{value} ({_short(bad_end(summary), form)})" if ends else value
+    value, (first, *others) = _short(summary.median, form), summary.seeds
+    # The worst training seed; of a single one the unfavourable end of the interval over its episodes.
+    end = summary.worst if others else first.low if summary.better > 0 else first.high
+    return f"{value} ({_short(end, form)})" if ends else value
 
 
 def _short(value: float, form: str) -> str:
     """A number without the 0 before its point."""
     return re.sub(r"^(-?)0\.", r"\1.", format(value, form))
-
-
-def bad_end(summary: Summary) -> float:
-    """The worst training seed; of a single one the unfavourable end of the interval over its episodes."""
-    first, *others = summary.seeds
-    alone = first.low if summary.better > 0 else first.high
-    return summary.worst if others else alone
 
 
 def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:

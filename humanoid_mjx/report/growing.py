@@ -5,7 +5,6 @@ import time
 import webbrowser
 from contextlib import suppress
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -37,24 +36,21 @@ class Growing(Reporter):
     what it is told."""
 
     curves: Curves
-    folder: RunFolder
     file: Path
 
-    def __init__(self, reporter: Reporter, browse: bool = True):
-        """`browse`: open the browser as soon as there is a page."""
-        self.reporter, self.browse = reporter, browse
+    def __init__(self, reporter: Reporter):
+        self.reporter = reporter
         self.state: State | None = None
         self.words = "starting"
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
 
     def watch(self, folder: RunFolder, plan: Plan) -> Curves:
-        """Begin to draw; the curves that the page shows (`training.sweep.sweep`)."""
-        self.curves, self.folder, self.file = Curves(folder, plan, MAX_POINTS), folder, folder.path / "report.html"
+        """Begin to draw, and open the page; the curves that it shows (`training.sweep.sweep`)."""
+        self.curves, self.file = Curves(folder, plan, MAX_POINTS), folder.path / "report.html"
         self.write()
         self.reporter.note(f"{self.file.resolve().as_uri()}: grows while the sweep trains")
-        if self.browse:
-            threading.Thread(target=partial(webbrowser.open, self.file.resolve().as_uri()), daemon=True).start()
+        threading.Thread(target=webbrowser.open, args=(self.file.resolve().as_uri(),), daemon=True).start()
         self._thread.start()
         return self.curves
 

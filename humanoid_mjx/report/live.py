@@ -8,7 +8,6 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -39,7 +38,7 @@ LAST_EPISODE = 10**6
 """Largest number of an episode, as of `play --episode`."""
 
 
-def serve(live: Live, told: Callable[[str], None], *, port: int = 0, browse: bool = True) -> None:
+def serve(live: Live, told: Callable[[str], None], *, port: int = 0) -> None:
     """Show a live robot in the browser until Ctrl-C, from a server that only this machine can reach.
 
     Args:
@@ -59,8 +58,7 @@ def serve(live: Live, told: Callable[[str], None], *, port: int = 0, browse: boo
         address = f"http://{LOOPBACK}:{server.server_address[1]}/"
         threading.Thread(target=server.serve_forever, daemon=True).start()
         told(f"{address}  (Ctrl-C ends it)")
-        if browse:
-            threading.Thread(target=partial(webbrowser.open, address), daemon=True).start()
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
         before = signal.signal(signal.SIGINT, end)
         try:
             live.run()
@@ -69,11 +67,7 @@ def serve(live: Live, told: Callable[[str], None], *, port: int = 0, browse: boo
 
 
 def make_server(live: Live, port: int = 0) -> Server:
-    """The server of a live robot on the loopback interface, which answers once it is let run.
-
-    Raises:
-      InputError: the port is taken.
-    """
+    """The server of a live robot on the loopback interface, which answers once it is let run; raises as `serve`."""
     try:
         server = Server(port)
     except OSError as error:

@@ -17,13 +17,10 @@ from PIL import Image
 from humanoid_mjx.compute.provenance import PACKAGES
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import driven_films, show
-from humanoid_mjx.evaluation.gait.measure import measure, settings_of
-from humanoid_mjx.evaluation.gait.scenarios import walking_task
-from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world, on_native, on_plane
+from humanoid_mjx.evaluation.policy import find_policy, on_native, on_plane
 from humanoid_mjx.evaluation.replay import why_stopped
 from humanoid_mjx.report.drawing import HEAT_MAPS
 from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, mapped, parameters
-from humanoid_mjx.report.gaits import gait_rows, meanings, remarks
 from humanoid_mjx.report.learned import learned
 from humanoid_mjx.report.parameters import draw_map, limits
 from humanoid_mjx.report.rendering import strip
@@ -44,9 +41,6 @@ FEW_VALUES = 12
 
 DRIVEN_S = 6.0
 """Length of a film under one command, s."""
-
-GAIT_EPISODES, GAIT_S = 8, 10.0
-"""Episodes of each command in the table of the gait, and their length, s."""
 
 PANEL = 4.4, 3.0
 """Size of a panel, inches."""
@@ -222,22 +216,9 @@ def _motion(path: Path, reporter: Reporter) -> list[str]:
     reporter.phase("simulating commands")
     films = driven_films(trained, DRIVEN_S)
     together = text("Under commands that stay; the films play together", "h3")
-    driven = [together, _grid(map(player, films)), *_gaits(trained, reporter)] if films else []
+    driven = [together, _grid(map(player, films))] if films else []
     words = f"The best policy in the first held-out episode: {outcome}."
     return [text(words), player(film, still=NO_SCRIPT), _grid(pictures, " strip"), *driven]
-
-
-def _gaits(trained: StoredPolicy, reporter: Reporter) -> list[str]:
-    """The table of `evaluate --gait` of a few episodes; nothing where the task's commands are not of a gait."""
-    with suppress(InputError):
-        walking_task(trained.learner.task)
-        reporter.phase("measuring its gait")
-        world = in_world(trained, None, settings_of([f"task.duration={GAIT_S:g}"]))
-        ((_, gaits, beyond),) = measure([world], GAIT_EPISODES, reporter.count, ("greedy",))
-        caption = f"{GAIT_EPISODES} episodes of {GAIT_S:g} s a command, as evaluate --gait has them"
-        rows = table(["command", *meanings()], gait_rows(gaits, beyond), caption=caption)
-        return [text("Its gait", "h3"), rows, *map(text, remarks(gaits, beyond)), facts(meanings().items())]
-    return []
 
 
 def _config(config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> list[str]:

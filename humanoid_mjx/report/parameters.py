@@ -63,7 +63,7 @@ def local_mean(
     return middle - half, middle, middle + half
 
 
-def draw_importance(panel: Any, judged: Judged) -> dict[str, float]:
+def draw_importance(panel: Any, learning: Learning, axis_name: str | None, judged: Judged) -> dict[str, float]:
     """A bar for each parameter, and for each two of them together: the share of the differences that it explains."""
     shares = list(judged.matters.items())[:MAX_LABELS][::-1]
     for place, (_, share) in enumerate(shares):

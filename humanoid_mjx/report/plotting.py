@@ -46,8 +46,6 @@ class Rows(NamedTuple):
     """By name: those asked for, `run`, `point`, `seed` and `record`."""
     runs: list[str]
     """Their names."""
-    axes: list[str]
-    """The parameters that any of the runs swept."""
     counter: str
     """The column that counts the training: `episode` or `step`."""
 
@@ -64,7 +62,6 @@ def read_rows(paths: Sequence[Path], x: str | None, y: str, by: str | None) -> R
     names = names if len(set(names)) == len(names) else [str(path) for path in paths]
     if doubled := [name for name in names if names.count(name) > 1]:
         raise InputError(f"plot: {doubled[0]} is named twice.")
-    configs = [read_config(path) for path in paths]
     available = [column_names(path / "results.parquet") for path in paths]
     if missing := [path for path, columns in zip(paths, available, strict=True) if not columns]:
         raise InputError(f"{missing[0]}: no run in it is finished yet.")
@@ -78,8 +75,7 @@ def read_rows(paths: Sequence[Path], x: str | None, y: str, by: str | None) -> R
     tables = [_read(path, wanted, curves) for path in paths]
     columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
     columns[RUN] = np.repeat(np.array(names, object), [len(table["point"]) for table in tables])
-    axes = dict.fromkeys(axis for config in configs for axis in (config.get("sweep") or {}).get("axes", {}))
-    return Rows(columns, names, list(axes), counters[0])
+    return Rows(columns, names, counters[0])
 
 
 def _read(path: Path, wanted: Sequence[str], curves: bool) -> dict[str, np.ndarray]:
@@ -179,7 +175,7 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
     parts = [part.replace(".", "_") for part in (y, "over", x, *(("by", by) if by else ()))]
     target = out or paths[0] / "figures" / f"{'_'.join(parts)}.png"
     across = _across(rows, x)
-    others = [axis for axis in rows.axes if axis not in (x, by)] if across.joined else []
+    others = [axis for axis in axes if axis not in (x, by)] if across.joined else []
     words = _seeds(rows, "seed" in (x, by), "band" if across.joined else "bar")
     words += ", over all values of the other parameters" * bool(others)
     each = "" if across.joined else "each point of the sweep, "

@@ -191,11 +191,8 @@ CODECS = {
 
 
 def check_file(path: Path) -> None:
-    """Check, before any work, that a file of this name can be made.
-
-    Raises:
-      InputError: its ending is none of `ENDINGS`, there is no such folder, or its kind needs a package that is missing.
-    """
+    """Raise an InputError, before any work, if no file of this name can be made: its ending is none of `ENDINGS`, there
+    is no such folder, or its kind needs a package that is missing."""
     if path.suffix not in ENDINGS:
         raise InputError(f"{path}: the file must end in .gif, .mp4, .webm or .png.")
     check_folder(path)
@@ -207,11 +204,8 @@ def check_file(path: Path) -> None:
 
 
 def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
-    """Write frames into the file that `check_file` has passed: .png side by side, the others one after another.
-
-    Raises:
-      InputError: the file cannot be written.
-    """
+    """Write frames into the file that `check_file` has passed: .png side by side, the others one after another. Raise
+    an InputError if it cannot be written."""
     with refusing(path), whole_file(path) as temporary:
         if path.suffix == ".png":
             Image.fromarray(np.concatenate(list(frames), axis=1)).save(temporary)

@@ -16,7 +16,6 @@ MEDIA = {
     ".png": "image/png",
     ".gif": "image/gif",
     ".svg": "image/svg+xml",
-    ".webp": "image/webp",
     ".jpg": "image/jpeg",
     ".mp4": "video/mp4",
     ".webm": "video/webm",

@@ -87,11 +87,7 @@ def check_finite(
     what: str,
     then: str = "choose another run, or train again with a smaller learning rate",
 ) -> None:
-    """Check the numbers of a policy; the words `what` and `then` begin and end an error.
-
-    Raises:
-      InputError: one is not finite.
-    """
+    """Raise an InputError if a number is not finite; the words `what` and `then` begin and end it."""
     for name, array in arrays.items():
         if array.dtype.kind in "fc" and not np.isfinite(array).all():
             raise InputError(f"{what} holds numbers that are not finite, in {name}; {then}.")

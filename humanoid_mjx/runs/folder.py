@@ -200,11 +200,8 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def check_inside(path: Path, below: Path | None = None) -> None:
-    """Check that all below a folder lies there: a run folder of a stranger may hold links to anything.
-
-    Raises:
-      InputError: it holds a link that leads out of it, a pipe, a socket or a device, or it cannot be read.
-    """
+    """Raise an InputError if a folder holds a link that leads out of it, a pipe, a socket or a device, or cannot be
+    read: a run folder of a stranger may hold links to anything."""
     try:
         with os.scandir(below or path) as entries:
             for entry in entries:
@@ -293,23 +290,17 @@ def _only_begun(path: Path) -> bool:
 def _lock(path: Path, shared: bool = False) -> int:
     handle = os.open(path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        _flock(handle, path, shared)
+        lock(handle, shared)
     except OSError as error:
+        if error.errno in (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP):
+            words = "%s: this file system has no locks; let no other sweep write there."
+            logging.getLogger(__name__).warning(words, path)
+            return handle
         os.close(handle)
         if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
             raise
         raise InputError(f"{path}: is in use by another process; wait for it, or choose another place.") from error
     return handle
-
-
-def _flock(handle: int, path: Path, shared: bool) -> None:
-    """Lock a file of a run folder; warn where the file system has no locks."""
-    try:
-        lock(handle, shared)
-    except OSError as error:
-        if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP):
-            raise
-        logging.getLogger(__name__).warning("%s: this file system has no locks; let no other sweep write there.", path)
 
 
 def _differences(old: Any, new: Any, key: str = "") -> list[str]:

@@ -10,14 +10,11 @@ import numpy as np
 
 from humanoid_mjx.config import parse
 from humanoid_mjx.config.axes import sweep_points
-from humanoid_mjx.files import lock, meant
+from humanoid_mjx.files import SHOWN, lock, meant
 from humanoid_mjx.runs.folder import damaged, disk_used, pools, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import all_runs, read_table, run_numbers
 from humanoid_mjx.spec import InputError
-
-FOREIGN = 3
-"""Folders that are no run folders of which the names are said."""
 
 
 class Listed(NamedTuple):
@@ -65,9 +62,9 @@ def list_runs(folder: Path) -> tuple[list[Listed], list[str]]:
         inside = [folder]
     foreign = [path for path in inside if not any((path / name).exists() for name in ("config.yaml", "checkpoint"))]
     if foreign:
-        more = f" and {len(foreign) - FOREIGN} more" if len(foreign) > FOREIGN else ""
+        more = f" and {len(foreign) - SHOWN} more" if len(foreign) > SHOWN else ""
         kind = "no run folders (they hold" if len(foreign) > 1 else "this is no run folder (it holds"
-        problems.append(f"{', '.join(map(str, foreign[:FOREIGN]))}{more}: {kind} no config.yaml).")
+        problems.append(f"{', '.join(map(str, foreign[:SHOWN]))}{more}: {kind} no config.yaml).")
     for path in [path for path in inside if path not in foreign]:
         try:
             found.append(look_at(path))

@@ -21,10 +21,18 @@ from humanoid_mjx.training.progress import Reporter, State
 SMALL = CONFIG | {"sweep": {"axes": {"learner.epsilon": [0.2, 0.6]}}}
 
 
+@pytest.fixture(autouse=True)
+def opened(monkeypatch):
+    """The addresses that a browser was to open."""
+    addresses = []
+    monkeypatch.setattr("webbrowser.open", addresses.append)
+    return addresses
+
+
 def test_the_page_grows_and_ends_as_the_report(tmp_path, monkeypatch):
     monkeypatch.setattr(chunks, "CURVES_EVERY_S", 0.0)
     monkeypatch.setattr(pool, "MAX_STEPS", 256)
-    growing, known, pages = Growing(Reporter(), browse=False), [], []
+    growing, known, pages = Growing(Reporter()), [], []
     grow = Curves.grow
 
     def grows(self, *given):
@@ -81,9 +89,9 @@ def test_of_points_that_succeed_alike_the_quickest_is_the_best_so_far(tmp_path, 
 def test_what_no_episode_has_told_yet_is_neither_nan_nor_an_empty_figure(tmp_path, monkeypatch):
     """With a single record point, of which only the error is known, and then two with an episode in the first."""
     plan = make_plan(parse(SMALL))
-    page = Growing(Reporter(), browse=False)
-    page.folder = RunFolder.create(tmp_path / "run", resolved(plan.config))
-    page.curves, page.file = Curves(page.folder, plan, 2), tmp_path / "run" / "report.html"
+    page = Growing(Reporter())
+    folder = RunFolder.create(tmp_path / "run", resolved(plan.config))
+    page.curves, page.file = Curves(folder, plan, 2), tmp_path / "run" / "report.html"
     shape = len(plan.points), page.curves.seeds, len(page.curves.places)
     unknown, known = np.full(shape, np.nan), 1
     page.curves.measures = {"steps": unknown, "td_error": np.ones(shape)}
@@ -99,10 +107,8 @@ def test_what_another_machine_trains_has_no_page_here():
         told("sweep", "joint1", "--view", "--slurm", "nodes=2")
 
 
-def test_the_command_opens_the_page_which_ends_as_the_report(tmp_path, monkeypatch):
+def test_the_command_opens_the_page_which_ends_as_the_report(tmp_path, monkeypatch, opened):
     monkeypatch.chdir(tmp_path)
-    opened = []
-    monkeypatch.setattr("webbrowser.open", opened.append)
     (tmp_path / "small.yaml").write_text(json.dumps(SMALL))
     assert "runs/small/report.html" in told("sweep", "small.yaml", "--view")
     file = tmp_path / "runs" / "small" / "report.html"
@@ -113,7 +119,7 @@ def test_the_command_opens_the_page_which_ends_as_the_report(tmp_path, monkeypat
 def test_a_page_of_a_sweep_that_ends_early_says_so_and_is_loaded_no_more(tmp_path):
     plan = make_plan(parse(SMALL))
     folder = RunFolder.create(tmp_path / "run", resolved(plan.config))
-    with pytest.raises(KeyboardInterrupt), Growing(Reporter(), browse=False) as growing:
+    with pytest.raises(KeyboardInterrupt), Growing(Reporter()) as growing:
         growing.watch(folder, plan)
         raise KeyboardInterrupt
     folder.close()

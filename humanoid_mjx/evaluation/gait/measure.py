@@ -59,10 +59,8 @@ def settings_of(overrides: Sequence[str]) -> list[str]:
     return [*(f"{key}={value}" for key, value in ours.items()), *overrides]
 
 
-def measure(
-    policies: Sequence[StoredPolicy], episodes: int, tell: Callable[[int, int], None], agents: Sequence[str] = AGENTS
-) -> list[Measured]:
-    """Measure the gaits of agents, for each group of policies of the same task and the same kind of learner.
+def measure(policies: Sequence[StoredPolicy], episodes: int, tell: Callable[[int, int], None]) -> list[Measured]:
+    """Measure the gaits of all agents, for each group of policies of the same task and the same kind of learner.
 
     `tell` is called with how many of a group's episodes have been played.
     """
@@ -70,17 +68,15 @@ def measure(
     for policy in policies:
         task = json.dumps(resolved(policy.config)["task"], sort_keys=True)
         groups.setdefault((task, jax.tree.structure((policy.learner, policy.policy))), []).append(policy)
-    return [_measure(group, episodes, tell, agents) for group in groups.values()]
+    return [_measure(group, episodes, tell) for group in groups.values()]
 
 
-def _measure(
-    policies: list[StoredPolicy], episodes: int, tell: Callable[[int, int], None], agents: Sequence[str]
-) -> Measured:
+def _measure(policies: list[StoredPolicy], episodes: int, tell: Callable[[int, int], None]) -> Measured:
     learner = policies[0].learner
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
     task = walking_task(learner.task)
     scenarios = scenarios_of(task.robot)
-    (found,) = play_worlds([learner], stacked, scenarios, episodes, float(task.duration), agents, tell)
+    (found,) = play_worlds([learner], stacked, scenarios, episodes, float(task.duration), AGENTS, tell)
     beyond = [each.name for each in scenarios if _beyond(task, each)]
     return Measured(policies, gaits_of(found, scenarios), beyond)
 

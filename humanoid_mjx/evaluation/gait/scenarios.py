@@ -20,7 +20,7 @@ from humanoid_mjx.evaluation.gait.figures import FIGURES, Gait, figures, summari
 from humanoid_mjx.evaluation.gait.tally import Asked, Tally, heading_of, sample_of, wrapped
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import AGENTS, agent, decision_keys, start
-from humanoid_mjx.physics.base import World
+from humanoid_mjx.physics.base import World, where
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import name_of
@@ -29,9 +29,6 @@ from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.legged.task import LeggedTask
 from humanoid_mjx.tasks.legged.view import View
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
-
-SECONDS = 20.0
-"""Length of an episode, s."""
 
 TURN_GAIN, TURN_RATE = 4.0, 1.0
 """A sudden turn is commanded as a turn rate: so much of the heading's error, 1/s, at most so much, rad/s. It begins to
@@ -88,11 +85,8 @@ class _Loop(NamedTuple):
 
 
 def walking_task(task: Task) -> LeggedTask:
-    """Check that a task moves a body by commands, and return it as a legged task.
-
-    Raises:
-      InputError: the task does not, or the robot has no pairs of feet.
-    """
+    """Return a task as a legged task; raise an InputError if it moves no body by commands, or one without pairs of
+    feet."""
     if not isinstance(task, LeggedTask) or task.command is None:
         raise InputError(
             f"evaluate --gait: the task {name_of(task)} gives no commands to a body on legs, as walk does."
@@ -107,7 +101,7 @@ def play_worlds(
     policies: Any,
     scenarios: Sequence[Scenario],
     episodes: int,
-    seconds: float = SECONDS,
+    seconds: float,
     agents: Sequence[str] = ("greedy",),
     tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[dict[str, dict[str, np.ndarray]]]:
@@ -117,6 +111,7 @@ def play_worlds(
       learners: whose tasks, of one structure, are the worlds that are played side by side, with their pushes.
       policies: what was learned, a pytree whose leaves lead with an axis of training seeds.
       scenarios: such as `scenarios_of` the robot.
+      seconds: length of an episode, s.
       agents: some of `AGENTS`.
       tell: called with how many of all episodes have been played, once some have.
 
@@ -227,11 +222,7 @@ def _decide(
         return sums.add(tally, sample, Asked(asked, goal, since), window, interval, task.robot), None
 
     tally, _ = jax.lax.scan(add, loop.tally, sensed)
-    tally = _where(fallen, loop.tally, tally)
+    tally = where(fallen, loop.tally, tally)
     # A fallen body is the most expensive to simulate, so it is reset; its further motion does not count.
-    state = state._replace(data=state.data._replace(world=_where(fallen, loop.first, state.data.world)))
+    state = state._replace(data=state.data._replace(world=where(fallen, loop.first, state.data.world)))
     return _Loop(state, view, tally, goal, fallen, loop.first)
-
-
-def _where(flag: BoolScalar, chosen: Any, other: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(jnp.asarray(flag), a, b), chosen, other)
