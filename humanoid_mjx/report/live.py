@@ -125,7 +125,7 @@ class Window:
         data["shapes"] *= len(live.stage.bodies)
         data["distance"] *= 1.0 + 0.5 * (len(live.stage.bodies) - 1)
         data |= {
-            "live": {"ranges": live.ranges, "told": live.told, "scales": self.scales},
+            "live": {"ranges": live.ranges, "told": live.told, "scales": self.scales, "touchable": live.touchable},
             "legs": _legs(live),
             "first": self.now(),
         }
@@ -177,7 +177,7 @@ class Window:
     def _read(self, name: str, value: Any) -> Any:
         if name == "told":
             return {part: _within(number, *self.live.ranges[part]) for part, number in value.items()}
-        if name == "grab":
+        if name == "grab" and self.live.touchable:
             return self._grabs(value)
         if name == "paused" and type(value) is bool:
             return value
@@ -218,7 +218,7 @@ class Window:
     def _frame(self) -> dict[str, Any]:
         live, bodies, views = self.live, self.live.stage.bodies, self.views()
         frame: dict[str, Any] = {"shapes": [], "torsos": [], "forces": [], "pushes": [], "ahead": []}
-        pressing = [body.pressing() for body in bodies]
+        pressing = [body.pressing() if live.touchable else {} for body in bodies]
         for body, view, pressed in zip(bodies, views, pressing, strict=True):
             places, turns = posed(self.model, body.data, self.scene.shown)
             shown = {
@@ -261,18 +261,19 @@ class Window:
         names = [self.model.joint(joint).name for joint in joints]
         angles = np.degrees(first.data.qpos[self.model.jnt_qposadr[joints]])
         charts["joint angle, degrees"] = dict(zip(names, angles, strict=True))
-        charts["torque, N m"] = dict(zip(names, first.data.actuator_force, strict=True))
+        if live.touchable:
+            charts["torque, N m"] = dict(zip(names, first.data.actuator_force, strict=True))
         return charts | {"reward of a decision": {name: values[0] for name, values in live.rewards.items()}}
 
 
 def _scales(live: Live) -> dict[str, Scale]:
-    """The sliders of a robot's world; none where it hangs.
+    """The sliders of a robot's world; none where nobody can touch it.
 
     The first push is the mean one of the training, so that the policy bears it, and a third of `PUSH` at most: policies
     that were trained with harder ones bear not all of them.
     """
     model, first = live.model, live.stage.bodies[0]
-    if not first.free:
+    if not (live.touchable and first.free):
         return {}
     mass, task = float(model.body_mass.sum()), cast(Any, live.trained.learner.task)
     hardest = PUSH * mass * math.sqrt(9.81 * model.stat.extent)

@@ -495,11 +495,11 @@
       this.paused = button("Pause", () => this.pause());
       this.recorded = button("Record", () => this.record());
       this.fastest = Math.max(...Object.values(data.live.ranges["forward, m/s"] || [1]));
-      const drives = Object.keys(data.live.ranges).length > 0, { first: { world } } = data;
+      const drives = Object.keys(data.live.ranges).length > 0, touch = data.live.touchable, { first: { world } } = data;
       const keys = (part, forth, back) => [this.range(part)[2] > 0 && forth, this.range(part)[1] < 0 && back].filter(Boolean);
       const go = [...keys("forward", "W", "S"), ...keys("left", "A", "D")], turn = keys("turn", "Q", "E");
       const hints = [go.length && `${go.join(" ")} or arrows: go.`, turn.length && `${turn.join(" ")}: turn.`,
-        drives && "Shift: faster. Space: stand.", "Drag the robot: pull it.", data.live.scales.push && "X: push.",
+        drives && "Shift: faster. Space: stand.", touch && "Drag the robot: pull it.", data.live.scales.push && "X: push.",
         "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: restart, all as at first. N: next episode."];
       this.panel = make("div", { className: "panel" });
       this.sliders = {};
@@ -660,7 +660,7 @@
     pause() { this.send({ paused: !this.latest.paused }); this.latest.paused = !this.latest.paused; this.draw(); }
 
     hold(event) {
-      const found = this.hit(event);
+      const found = this.data.live.touchable && this.hit(event);
       if (!found) return false;
       this.held_at = { depth: found.depth, shape: found.shape };
       const point = this.place(event, found.depth);

@@ -48,6 +48,16 @@ _KINDS = {
 }
 
 
+class Shape(NamedTuple):
+    """A solid of a robot's body. Sizes are as MuJoCo has them: radius and half lengths, m."""
+
+    kind: str
+    """`sphere`, `capsule`, `ellipsoid`, `cylinder` or `box`."""
+    size: Float[np.ndarray, "3"]
+    color: Float[np.ndarray, "3"]
+    """Red, green and blue, 0 to 1."""
+
+
 class Scene(NamedTuple):
     """A motion of shapes, and the camera that follows it."""
 
@@ -55,6 +65,7 @@ class Scene(NamedTuple):
     qpos: Float[np.ndarray, "frames nq"]
     shown: list[int]
     """The geoms that are drawn, but for planes: one for each shape."""
+    shapes: list[Shape]
     position: Float[np.ndarray, "frames shapes 3"]
     """Positions of the shapes, m, world: x forward, y to the left, z up."""
     rotation: Float[np.ndarray, "frames shapes 3 3"]
@@ -104,7 +115,9 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"], terrai
     above = position - below[:, None, None] * [0.0, 0.0, 1.0]
     view, middle[:, 2] = _framing(model, above, middle, model.geom_rbound[shown], grounded)
     middle[:, 2] += below
-    return Scene(model, rows, shown, position, np.stack(turns), middle, np.array(torso), view, grounded, terrain)
+    shapes = [_shape(model, g) for g in shown]
+    turns, torso = np.stack(turns), np.array(torso)
+    return Scene(model, rows, shown, shapes, position, turns, middle, torso, view, grounded, terrain)
 
 
 def _framing(
@@ -147,12 +160,12 @@ def _is_plane(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE)
 
 
-def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
-    """A solid of a robot's body: its kind, radius and half lengths, m, and its red, green and blue, 0 to 1."""
-    kind = _KINDS.get(mujoco.mjtGeom(model.geom_type[geom]), "box")
-    size = model.geom_size[geom] if model.geom_type[geom] in _KINDS else model.geom_aabb[geom, 3:]
-    size = np.repeat(size[0], 3) if kind == "sphere" else size
-    return {"kind": kind, "size": rounded(size), "color": rounded(colored(model, geom)[:3])}
+def _shape(model: mujoco.MjModel, geom: int) -> Shape:
+    kind = _KINDS.get(mujoco.mjtGeom(model.geom_type[geom]))
+    size = model.geom_size[geom].copy() if kind else model.geom_aabb[geom, 3:].copy()
+    if kind == "sphere":
+        size = np.repeat(size[0], 3)
+    return Shape(kind or "box", size, np.array(colored(model, geom)[:3]))
 
 
 def _offsets(model: mujoco.MjModel) -> Float[np.ndarray, "geoms 3"]:
@@ -224,7 +237,9 @@ def scene_data(motion: Scene, title: str) -> dict[str, Any]:
         "middle": float(motion.middle[0, 2]),
         "grid": motion.grid,
         "arrow": motion.arrow,
-        "shapes": [_shape(motion.model, geom) for geom in motion.shown],
+        "shapes": [
+            {"kind": shape.kind, "size": rounded(shape.size), "color": rounded(shape.color)} for shape in motion.shapes
+        ],
     }
 
 

@@ -20,7 +20,7 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, Stage
-from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_changed_world
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.report.live import Window, _scales, make_server, serve
 from humanoid_mjx.robot import make_robot
@@ -211,7 +211,7 @@ def test_the_first_push_is_one_of_the_training(name):
 
 
 def test_a_policy_that_was_trained_without_pushes_gets_a_gentle_one():
-    live = Live(in_world(find_policy("walk"), None, ["task.push.impulse=0"]))
+    live = Live(in_changed_world(find_policy("walk"), ["task.push.impulse=0"]))
     assert 0.0 < _scales(live)["push"].now < 0.1
 
 
@@ -385,12 +385,27 @@ def test_ctrl_c_ends_it_in_silence(monkeypatch):
     assert told[0].startswith("http://127.0.0.1:") and live.stage.time >= 0.1
 
 
-def test_a_task_with_a_physics_of_its_own_is_refused_in_one_sentence():
-    """`sway` makes its physics itself, so nothing can take its place."""
+def test_a_robot_with_a_physics_of_its_own_is_seen_but_not_touched():
+    """`sway` brings its physics, and its robot hangs: no sliders, no hands; its episodes follow one another."""
+    make_physics("mujoco", robot="legs", timestep=0.02).model  # noqa: B018
     config = parse({"name": "own", "task": {"name": "sway:Sway"}, "learner": {"name": "deep_q", "width": 8}}, "here")
-    (group,) = make_plan(config).groups
-    with pytest.raises(InputError, match=r"^--view: the task sway:Sway .* give it a field `physics`.*\.$"):
-        Live(StoredPolicy(group.learner(), group.policy, 0, 0, "own", config, {}))
+    learner = make_plan(config).groups[0].learner()
+    key = jax.random.key(0)
+    policy = jax.jit(lambda learner: learner.policy(learner.init(key)))(learner)
+    live = Live(StoredPolicy(learner, policy, 0, 0, "own", config, {}))
+    live.stage.hands.pace = FAST
+    window = Window(live)
+    assert not (live.touchable or live.ranges or window.scales)
+    thread = threading.Thread(target=live.run, daemon=True)
+    thread.start()
+    end = time.monotonic() + 600
+    while live.episodes[0] < 1 and time.monotonic() < end:
+        time.sleep(0.02)
+    live.stop()
+    thread.join(20)
+    frame = window.now()
+    assert live.episodes[0] >= 1 and window.number > 5 and "torque, N m" not in frame["charts"]
+    assert len(frame["shapes"]) == len(window.scene.shown)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.evaluation.episode import begun, decided, robot_of, single
+from humanoid_mjx.evaluation.episode import begun, decided, own_data, robot_of, single, world_of
 from humanoid_mjx.evaluation.live.body import Grab as Grab
 from humanoid_mjx.evaluation.live.stage import LiveMujoco, Stage
 from humanoid_mjx.evaluation.policy import StoredPolicy, in_world, on_plane
@@ -31,26 +31,24 @@ class Live:
         """Take a policy's task to a stage with so many robots, each in an episode of its own from `episode` on.
 
         Raises:
-          InputError: the task moves no robot, or has no choice of physics.
+          InputError: the task moves no robot.
         """
         robot_of(trained)
-        if "physics" not in type(trained.learner.task).model_fields:
-            name = trained.config.task["name"]
-            raise InputError(
-                f"--view: the task {name} moves its robot by a physics of its own; give it a field `physics`, as stand "
-                "has, or leave --view out for a film."
-            )
-        trained = in_world(on_plane(trained), f"{__name__}:{LiveMujoco.__name__}")
+        self.touchable, trained = True, on_plane(trained)
+        try:
+            trained = in_world(trained, f"{__name__}:{LiveMujoco.__name__}")
+        except InputError:  # a task with a physics of its own is shown and steered, but nobody can touch it
+            self.touchable = False
         task: Any = trained.learner.task.for_driving()
-        self.trained = trained
+        self.trained, self.task = trained, task
         self.learner: Learner = trained.learner.replace(task=task)
         self.model = robot_of(trained)
-        self.stage: Stage = task.simulator.stage
+        self.stage: Stage = task.simulator.stage if self.touchable else Stage(self.model)
         self.stage.fill(robots)
         self.ranges: dict[str, tuple[float, float]] = task.told_ranges
         self.told = dict.fromkeys(self.ranges, 0.0)
         """The command that the robots are to follow."""
-        self.feet: tuple[str, ...] = getattr(getattr(task, "robot", None), "feet", ())
+        self.feet: tuple[str, ...] = getattr(getattr(task, "robot", None), "feet", ()) if self.touchable else ()
         """Bodies whose load is shown."""
         self.rewards: dict[str, Float[np.ndarray, " robots"]] = {}
         """Of the last decision, by the names of the reward's terms."""
@@ -114,6 +112,11 @@ class Live:
         after = single(_all_decided)(self.learner, policy, numbers, state, jnp.asarray(steps, jnp.int32), told)
         bodies, found = self.stage.bodies, jax.device_get({"reward": after.reward} | after.metrics)
         self.rewards = {name: np.asarray(values) for name, values in found.items()}
+        if not self.touchable:
+            world = jax.device_get(jax.vmap(lambda state: world_of(own_data(self.task, state)))(after))
+            for i, body in enumerate(bodies):
+                body.show(world.qpos[i], world.qvel[i], self.task.period if body.ended is None else 0.0)
+            self.stage.wait(self.task.period)
         for body, done, success in zip(bodies, np.asarray(after.done), np.asarray(after.success), strict=True):
             if done and body.ended is None:
                 body.ending = "reached its aim" if success else "fell" if self.ranges else "did not reach its aim"

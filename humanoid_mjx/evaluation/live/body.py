@@ -90,9 +90,7 @@ class Body:
         model.pair_friction[:, :2] *= hands.friction
         model.body_mass[1] += hands.payload
         model.body_subtreemass[:2] += hands.payload
-        if self._begins:
-            mujoco.mj_kinematics(model, data)
-            self.heading, self._begins = self.ahead, False
+        self._face()
         self._lay_hands_on(self.turn.T @ rise)
         mujoco.mj_step(model, data)
         sensed = data.sensordata.copy()
@@ -102,11 +100,23 @@ class Body:
             moved[2] -= self.height(moved)
         return moved, data.qvel.copy(), data.qacc.copy(), sensed
 
+    def show(self, qpos: Float[np.ndarray, " nq"], qvel: Float[np.ndarray, " nv"], seconds: float) -> None:
+        """Show where another physics has brought the robot in so many seconds."""
+        self.data.qpos, self.data.qvel = qpos, qvel
+        mujoco.mj_forward(self.model, self.data)
+        self._face()
+        self._measure(seconds)
+
     @property
     def turn(self) -> Float[np.ndarray, "2 2"]:
         """The turn about the vertical from the robot's world to the picture."""
         x, y = self.heading if self.free else (1.0, 0.0)
         return np.array([[x, y], [-y, x]])
+
+    def _face(self) -> None:
+        if self._begins:
+            mujoco.mj_kinematics(self.model, self.data)
+            self.heading, self._begins = self.ahead, False
 
     def _measure(self, seconds: float) -> None:
         self.time += seconds
