@@ -42,8 +42,11 @@ def servo(kp: Gain, kd: Gain, reference: Reference, qpos: Joints, qvel: Joints) 
     return reference.qacc + pd(kp, kd, reference, qpos, qvel)
 
 
-def implicit_euler(kp: Float[AnyArray, " joints"], kd: Float[AnyArray, " joints"]) -> Integrator:
-    """Return steps of first order through which a servo of these gains, N m/rad and N m s/rad, acts as analog ones do.
+def implicit_euler(
+    kp: Float[AnyArray, " joints"], kd: Float[AnyArray, " joints"], armature: FloatScalar = 0.0
+) -> Integrator:
+    """Return steps of first order through which a servo of these gains, N m/rad and N m s/rad, acts as analog ones do,
+    with rotors that add `armature`, kg m^2, to the inertia of each joint.
 
     Linearly implicit in the servo, so that its stiffness does not limit the step: a held torque is unstable in steps
     longer than `2 M / kd`, 7 microseconds for the gains of Table 5.1 as N m/rad and N m s/rad on the thesis's leg.
@@ -51,7 +54,7 @@ def implicit_euler(kp: Float[AnyArray, " joints"], kd: Float[AnyArray, " joints"
 
     def step(leg: Chain, state: State, torque: Joints, dt: FloatScalar) -> State:
         matrix, bias = mass_matrix_and_bias(leg, *state)
-        stiffened = matrix + jnp.diag(dt * kd + dt**2 * kp)
+        stiffened = matrix + jnp.diag(armature + dt * kd + dt**2 * kp)
         qacc = jnp.linalg.solve(stiffened, torque - dt * kp * state.qvel - bias)
         qvel = state.qvel + dt * qacc
         return State(state.qpos + dt * qvel, qvel)

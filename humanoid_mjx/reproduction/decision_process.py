@@ -3,14 +3,20 @@
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Key
+from pydantic import Field
 
-from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed
 from humanoid_mjx.reproduction.joint_ways import printed_run
+from humanoid_mjx.spec import traced
+from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.thesis import q_learning as thesis
 from humanoid_mjx.training.sweep import sweep
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 PRINTED = thesis.PSEUDO_CODE
 SEEDS, SIDE_BY_SIDE = 32, 1024
@@ -20,9 +26,10 @@ estimate their number."""
 RUNS, STEPS = 100, 20_000
 """Runs of the pseudo-code with its decay, and the steps of each."""
 
-STEPS_BACK = 6
-"""Steps that a joint has gone beyond its goal."""
+BACK_REWARDS = (0.0, -1.0, -2.0, -4.0, -8.0, -16.0)
+"""Rewards of a step back that are compared."""
 
+STEPPING_BACK = {"name": "humanoid_mjx.reproduction.decision_process:SteppingBack", "steps": 6}
 POSITIONS = {1: 24, 4: 25, 5: 13}
 """Places of each joint in steps of 5 degrees: with this number of states each place has a row of its own."""
 
@@ -36,6 +43,7 @@ LITERAL = {
 def decay(setting: Setting) -> Iterator[Finding]:
     """The pseudo-code with its declared epsilonDecay applied."""
     for joint in thesis.JOINT_RANGES:
+        setting.tell(f"joint {joint}: {RUNS} runs of {STEPS:,} steps")
         run = printed_run(joint, setting.config, runs=RUNS, steps=STEPS)
         reached = int(run.terminated.any(axis=1).sum())
         quantity = f"joint {joint} reaches its goal, of {RUNS} runs with the declared decay of epsilon"
@@ -51,6 +59,7 @@ def waiting(setting: Setting) -> Iterator[Finding]:
     discounts = np.round(np.arange(0.80, 0.99, 0.01), 2)
     share = {}
     for joint in POSITIONS:
+        setting.tell(f"joint {joint}: training with {len(discounts)} discounts, {SEEDS} seeds each")
         task = {"name": "joint_reach", "joint": joint, "states": POSITIONS[joint]}
         share[joint] = _greedy_success(task, {"learner.discount": discounts.tolist()})
     at_printed = int(np.argmin(np.abs(discounts - PRINTED["discount"])))
@@ -60,25 +69,59 @@ def waiting(setting: Setting) -> Iterator[Finding]:
         claim = "in the next time of running it switches to the next state with the old values (6.4)"
         why = f"waiting a step before the goal for ever ({last:g} a step) is worth more than the goal ({end:g} + "
         why += f"{PRINTED['bonus']:g}, once) from {1 - last / (end + PRINTED['bonus']):.4f} on; in training the "
-        why += "largest discount tried at which most runs go to the goal is "
-        why += f"{np.max(discounts, where=share[joint] > 0.5, initial=0.0):g}"
+        why += f"largest discount tried at which most runs go to the goal is {_largest(discounts, share[joint]):g}"
         arrive = float(share[joint][at_printed])
         yield check(quantity, claim, round(arrive, 3), arrive > 0.99, why, 0.01)
 
 
 @experiment("finding-negative-reward", "What a negative reward of stepping back would do")
-def negative_reward(setting: Setting) -> list[Finding]:
+def negative_reward(setting: Setting) -> Iterator[Finding]:
     """The finding that a cost for stepping back keeps a joint from it, as chapter 6 fears."""
-    return [_stepping_back(largest_cost(STEPS_BACK, PRINTED["bonus"], PRINTED["discount"]))]
+    setting.tell(f"training with {len(BACK_REWARDS)} rewards of a step back")
+    yield _stepping_back(_greedy_success(STEPPING_BACK, {"task.back_reward": list(BACK_REWARDS)}))
 
 
-def _stepping_back(limit: float) -> Finding:
-    """The verdict on the largest cost of a step back at which the way back is worth more than to stay."""
-    quantity = f"largest cost of a step back at which {STEPS_BACK} of them to the goal are worth more than to stay"
+def _stepping_back(share: np.ndarray) -> Finding:
+    """The verdict on the shares of runs that learn to step back, by reward of a step back."""
+    costs = -np.array(BACK_REWARDS)
+    keeps = share[costs > 0] < 0.5
+    limit = largest_cost(STEPPING_BACK["steps"], PRINTED["bonus"], PRINTED["discount"])
+    quantity = f"share of joints that step back to their goal when a step back is rewarded with {listed(-costs)}"
     claim = "if a negative reward is awarded, the feet will not bring themselves back (chapter 6)"
-    why = f"the goal earns its bonus of {PRINTED['bonus']:g}, staying nothing, at a discount of "
-    why += f"{PRINTED['discount']:g}: only beyond this cost is the fear right"
-    return check(quantity, claim, round(limit, 2), limit <= 0, why)
+    why = f"{STEPPING_BACK['steps']} steps back lead to the goal and its bonus of {PRINTED['bonus']:g}; staying earns "
+    why += f"nothing. At a discount of {PRINTED['discount']:g} the way back pays up to a cost of {limit:.2f} a step: "
+    why += "only beyond it is the fear right"
+    return check(quantity, claim, [round(float(s), 3) for s in share], keeps.all(), why)
+
+
+class SteppingBack(FiniteTask):
+    """A joint that has gone `steps` steps beyond its goal and can come to it on no other way than back.
+
+    The actions are to stay, to step forwards, and to step back. A step back earns `back_reward`, reaching the goal
+    `bonus` and ends the episode. Forwards there is room for as many steps again.
+    """
+
+    num_actions: ClassVar[int] = 3
+
+    steps: int = Field(12, ge=1, le=1000, description="from the start back to the goal")
+    bonus: float = traced(100.0)
+    back_reward: float = traced(0.0, le=0, description="of every step back")
+
+    @property
+    def num_states(self) -> int:
+        return 2 * self.steps + 1
+
+    def reset(self, key: Key[Array, ""]) -> IntScalar:
+        """Number of steps that the joint is beyond the goal."""
+        return jnp.int32(self.steps)
+
+    def step(
+        self, state: IntScalar, action: IntScalar, key: Key[Array, ""]
+    ) -> tuple[IntScalar, FloatScalar, BoolScalar]:
+        back = action == 2
+        state = jnp.clip(state + jnp.where(back, -1, action), 0, 2 * self.steps).astype(jnp.int32)
+        there = state == 0
+        return state, jnp.where(back, self.back_reward, 0.0) + jnp.where(there, self.bonus, 0.0), there
 
 
 def largest_cost(steps: int, bonus: float, discount: float) -> float:
@@ -87,6 +130,11 @@ def largest_cost(steps: int, bonus: float, discount: float) -> float:
     The way is worth `discount**(steps - 1) * bonus - cost * (1 - discount**steps) / (1 - discount)`, staying 0.
     """
     return discount ** (steps - 1) * bonus * (1 - discount) / (1 - discount**steps)
+
+
+def _largest(discounts: np.ndarray, share: np.ndarray) -> float:
+    """The largest discount at which more than half of the runs reach the goal."""
+    return float(discounts[share > 0.5].max()) if (share > 0.5).any() else float("nan")
 
 
 def _greedy_success(task: dict[str, Any], axes: dict[str, list[float]]) -> np.ndarray:

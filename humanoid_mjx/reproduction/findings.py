@@ -51,6 +51,8 @@ class Setting:
 
     config: dict[str, Any]
     out: Path
+    tell: Callable[[str], None] = lambda words: None
+    """Say in a few words what is being computed."""
     name: str = ""
 
     def path(self, ending: str) -> Path:
@@ -168,15 +170,6 @@ def in_words(used: Mapping[str, Any], printed: Mapping[str, Any]) -> str:
     """Differences of the values used from the printed ones, as the start of a sentence."""
     changes = departures(used, printed)
     return "with " + ", ".join(changes) if changes else "with the printed values"
-
-
-def shown(value: Any) -> str:
-    """A printed or a computed value as words."""
-    if isinstance(value, Mapping):
-        return "; ".join(f"{key}: {shown(inner)}" for key, inner in value.items() if inner != "")
-    if isinstance(value, list | tuple):
-        return ", ".join(map(shown, value))
-    return "nothing" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def three_digits(value: Any) -> Any:

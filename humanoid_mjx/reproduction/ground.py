@@ -1,6 +1,6 @@
 """Motions played on the free lower body on the ground, and what becomes of it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -21,6 +21,9 @@ from humanoid_mjx.reproduction.findings import Setting
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import AnyArray, IntScalar
 
+HELD_KP, HELD_KD = 100.0, 1.0
+"""Gains of a joint that is held, N m/rad and N m s/rad: more than ten times as stiff as the servo."""
+
 FALLEN_M, FALLEN_TILT = 0.15, 60.0
 """Height of the hips above the ground, m (standing: 0.215), below which the body has fallen, and lean of the torso,
 degrees, above which it has."""
@@ -31,6 +34,9 @@ AT_ONCE = 64
 LASTS_S = 0.8
 """Length of the end of a motion in which a turn must last, s: a period of the gaits, in which a body twists and
 returns."""
+
+PUSH_S, PUSH_AT = 0.1, 0.5
+"""Length of a push and the time at which it begins, s."""
 
 PHASES = ("half a period later", "equal", "opposite")
 """Readings of the left leg's motion: chapter 4 says that both legs have equal positions, section 6.4 that the left has
@@ -44,6 +50,8 @@ class Trial(NamedTuple):
     """One of `laws_of`."""
     motion: str = "stand"
     """`stand`, or the name of a gait."""
+    push: tuple[float, float] = (0.0, 0.0)
+    """Impulse on the hips, forwards and to the left, N s."""
     signs: tuple[int, int, int] = (1, 1, 1)
     """Signs of hip pitch, knee and ankle: 1 takes the gait's angles as printed, in the senses of `lower_body`, where a
     positive knee swings the shank back and a positive ankle turns the toes down; -1 takes the other sense."""
@@ -103,13 +111,19 @@ def physics() -> Any:
     return make_physics("mjx-jax", robot={"ranges": "human"})
 
 
-def play(trials: Sequence[Trial], seconds: float, config: Mapping[str, Mapping[str, float]]) -> dict[Trial, Path]:
+def play(
+    trials: Sequence[Trial],
+    seconds: float,
+    config: Mapping[str, Mapping[str, float]],
+    tell: Callable[[str], None] = lambda words: None,
+) -> dict[Trial, Path]:
     """Simulate trials, some at once.
 
     Args:
       trials: trials without repetition.
       seconds: duration, a multiple of the time step.
       config: the gains of `laws_of`.
+      tell: called with the progress in words.
 
     Raises:
       InputError: an unknown gait, or gains that no controller takes.
@@ -117,9 +131,10 @@ def play(trials: Sequence[Trial], seconds: float, config: Mapping[str, Mapping[s
     laws, paths = laws_of(config), {}
     for first in range(0, len(trials), AT_ONCE):
         part = trials[first : first + AT_ONCE]
+        tell(f"{first:,} of {len(trials):,} bodies simulated")
         plans = [_plan(trial, seconds) for trial in part]
         bodies = [
-            (list(laws).index(trial.controller), plan, standing(plan.qpos[0]))
+            (list(laws).index(trial.controller), np.array(trial.push), plan, standing(plan.qpos[0]))
             for trial, plan in zip(part, plans, strict=True)
         ]
         # As many in every call, so that one program serves them all: the last trial fills the rest.
@@ -134,7 +149,8 @@ def laws_of(config: Mapping[str, Mapping[str, float]]) -> dict[str, control.Law]
     """Return the law of each controller, which acts anew at every time step.
 
     `servo` is plain; `computed torque` keeps within the contacts (`control.ground`); that of `section 5.7` has the
-    gains of Table 5.1, ignores contacts and treats the torso as fixed.
+    gains of Table 5.1, ignores contacts and treats the torso as fixed. In `servo, rolls held` the servo acts on a body
+    as if without hip rolls: they are held where they are.
 
     Args:
       config: under `servo` the stiffness and damping of every servo, under `computed_torque` the other gains of the
@@ -143,12 +159,17 @@ def laws_of(config: Mapping[str, Mapping[str, float]]) -> dict[str, control.Law]
     Raises:
       InputError: a gain that no law takes.
     """
+    servo = control.make_law("pd", **config["servo"])
     kp, kd = (np.tile(gains, 2) for gains in (thesis.KP, thesis.KD))
+    roll = np.tile(np.array(thesis.JOINT_NAMES) == "hip_roll", 2)
     return {
-        "servo": control.make_law("pd", **config["servo"]),
+        "servo": servo,
         "computed torque": control.make_law("grounded", **config["servo"], **config["computed_torque"]),
         "section 5.7": control.make_law("computed_torque").replace(
             natural_frequency=np.sqrt(kp), damping_ratio=kd / (2 * np.sqrt(kp))
+        ),
+        "servo, rolls held": servo.replace(
+            stiffness=np.where(roll, HELD_KP, servo.stiffness), damping=np.where(roll, HELD_KD, servo.damping)
         ),
     }
 
@@ -203,36 +224,42 @@ def draw_bodies(setting: Setting, title: str, rows: Sequence[Any], size: tuple[f
 
 @cache
 def _program() -> Any:
-    """From the laws and, by trial, the number of its law, plan and start, to the states, (trials, steps + 1, ...)
+    """From the laws and, by trial, the number of its law, push, plan and start, to the states, (trials, steps + 1, ...)
     each."""
     simulator = physics()
 
     def simulate(
         laws: Sequence[control.Law],
         number: IntScalar,
+        push: Float[Array, "2"],
         plan: control.Reference,
         qpos: Float[Array, " nq"],
     ) -> Any:
-        def cycle(world: World, reference: control.Reference) -> tuple[World, Motion]:
+        def cycle(world: World, now: tuple[Array, control.Reference]) -> tuple[World, Motion]:
+            force, reference = now
+
             # All laws at once: under vmap a branch computes all as well, and the compiling of the robot takes longer.
             def torque(stages: Stages) -> Float[Array, " joints"]:
                 chosen = [number == index for index in range(len(laws))]
                 return jnp.select(chosen, [law(reference, stages) for law in laws])
 
-            return stepped(simulator, world, torque)
+            return stepped(simulator.replace(push=force), world, torque)
 
         world = simulator.start(qpos, jnp.concatenate([jnp.zeros(6), plan.qvel[0]]))
         # The torque of a step brings about the motion at its end.
         ends = control.Reference(*(x[1:] for x in plan))
-        moved = jax.lax.scan(cycle, world, ends)[1]
+        times = simulator.step_s * jnp.arange(len(ends.qpos))
+        acts = (times >= PUSH_AT) & (times < PUSH_AT + PUSH_S)
+        forces = jnp.where(acts[:, None], jnp.pad(push, (0, 1)) / PUSH_S, 0.0)
+        moved = jax.lax.scan(cycle, world, (forces, ends))[1]
         return jnp.vstack([world.qpos, moved.qpos]), jnp.vstack([world.qvel, moved.qvel])
 
     # Each device its share: XLA itself would gather what MJX solves.
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices if AT_ONCE % len(devices) == 0 else devices[:1]), ("bodies",))
     share = PartitionSpec("bodies")
-    every = jax.vmap(simulate, in_axes=(None, 0, 0, 0))
-    spread = jax.shard_map(every, mesh=mesh, in_specs=(PartitionSpec(), *[share] * 3), out_specs=share, check_vma=False)
+    every = jax.vmap(simulate, in_axes=(None, 0, 0, 0, 0))
+    spread = jax.shard_map(every, mesh=mesh, in_specs=(PartitionSpec(), *[share] * 4), out_specs=share, check_vma=False)
     return jax.jit(spread, compiler_options=compute.compiler_options("arrays"))
 
 

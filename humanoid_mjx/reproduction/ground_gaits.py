@@ -1,4 +1,4 @@
-"""Section 4.8 on the ground: Tables 4.5 and 4.6 on the free lower body; and section 5.7's law where it stands.
+"""Section 4.8 on the ground: Tables 4.5 and 4.6 on the free lower body.
 
 The thesis plays its gaits on a leg whose torso is fixed. Here both legs carry the torso; the body starts upright with
 its lowest corner on the ground. The tables say nothing of the senses in which hip, knee and ankle count, of what the
@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, unprinted
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment
 from humanoid_mjx.reproduction.ground import (
     LASTS_S,
     PHASES,
@@ -22,12 +22,7 @@ from humanoid_mjx.reproduction.ground import (
     play,
     standing,
 )
-
-CONTROLLERS = ("servo", "computed torque", "section 5.7")
-CONFIG = {
-    "servo": {"stiffness": 6.0, "damping": 0.2},
-    "computed_torque": {"natural_frequency": 20.0, "damping_ratio": 1.0, "share": 0.1},
-}
+from humanoid_mjx.reproduction.ground_control import CONFIG, CONTROLLERS
 
 TABLES = {"straight_walk": "Table 4.5", "sudden_turn": "Table 4.6"}
 SECONDS, COLUMNS = 3.0, 7
@@ -43,21 +38,11 @@ YAWS = {"straight_walk": (False,), "sudden_turn": (False, True)}
 HEADS = ("gait", "reading", "controller", "up, s", "forwards, m", "turn that lasts, degrees", "off the plan, rad")
 
 
-@experiment("ground-control", "Computed torque and a servo that stand on the ground", CONFIG)
-def upright(setting: Setting) -> list[Finding]:
-    """How long the law of section 5.7 stands, beside those that know the ground."""
-    played = play([Trial(name) for name in CONTROLLERS], SECONDS, setting.config)
-    servo, within, blind = played.values()
-    quantity = f"seconds of {SECONDS:g} that computed torque of section 5.7 with Table 5.1's gains stands"
-    why = "the section's law treats the torso as fixed and ignores the ground; within the contacts computed torque "
-    why += f"{within.fate('stands')}, and a servo of {setting.config['servo']['stiffness']:g} N m/rad "
-    return [unprinted(quantity, blind.seconds, why + servo.fate("stands"))]
-
-
 @experiment("gaits-4.8", "The gaits of Tables 4.5 and 4.6 on the ground", CONFIG)
 def walking(setting: Setting) -> Iterator[Finding]:
     """Findings on walking, turning and balance."""
-    played = play(printed_trials(), SECONDS, setting.config)
+    played = play(printed_trials(), SECONDS, setting.config, setting.tell)
+    setting.tell("balance")
     inside = {trial: balanced(path) for trial, path in played.items()}
     setting.table(HEADS, (_row(trial, path) for trial, path in played.items()))
     _draw(setting, played)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from humanoid_mjx.report.web import MEDIA, anchor_of, facts, image, link, page, section, table, text
-from humanoid_mjx.reproduction.findings import MEANINGS, shown
+from humanoid_mjx.reproduction.findings import MEANINGS
 from humanoid_mjx.reproduction.runner import FINDINGS, load_experiments, read_findings, read_runs
 
 
@@ -16,23 +16,20 @@ def findings_page(path: Path) -> str:
     Raises:
       InputError: its reproduce.json is damaged.
     """
-    findings, known, by_name = read_findings(path / FINDINGS), load_experiments(), dict[str, list[Any]]()
-    for finding in findings:
-        by_name.setdefault(str(finding["name"]), []).append(finding)
-    headings = {name: f"{name}: {known[name].title}" if name in known else name for name in by_name}
-    files = sorted(file for file in path.iterdir() if file.suffix in (*MEDIA, ".md") and file.is_file())
-    links, sections = [], []
-    for name, mine in by_name.items():
-        counts = Counter(_words(str(finding["verdict"])) for finding in mine)
-        became = f"({', '.join(f'{count} {verdict}' for verdict, count in counts.items())})"
-        links.append(f"<li>{link(headings[name], f'#{anchor_of(headings[name])}')} {text(became, 'span')}</li>")
-        own = [file for file in files if file.stem == name or file.stem.startswith(f"{name}-")]
-        files = [file for file in files if file not in own]
-        sections.append(section(headings[name], *map(_finding, mine), *map(_shown, own)))
-    if files:
-        sections.append(section("More figures", *map(_shown, files)))
-    again = section("Run it again", text(f"humanoid-mjx reproduce {' '.join(by_name)} --out {path.name}-again", "pre"))
-    parts = [_lead(findings), f"<nav><ul>{''.join(links)}</ul></nav>", *sections, again, *_origins(path)]
+    findings = read_findings(path / FINDINGS)
+    shown = sorted(file for file in path.iterdir() if file.suffix in (*MEDIA, ".md") and file.is_file())
+    titles = {name: experiment.title for name, experiment in load_experiments().items()}
+    names = list(dict.fromkeys(str(finding["name"]) for finding in findings))
+    parts = [_lead(findings), _contents(findings, names, titles)]
+    for name in names:
+        mine = [finding for finding in findings if finding["name"] == name]
+        own = [file for file in shown if _belongs(file.stem, name, names)]
+        shown = [file for file in shown if file not in own]
+        parts.append(section(_heading(name, titles), *map(_finding, mine), *map(_shown, own)))
+    if shown:
+        parts.append(section("More figures", *map(_shown, shown)))
+    again = f"humanoid-mjx reproduce {' '.join(names)} --out {path.name}-again"
+    parts += [section("Run it again", text(again, "pre")), *_origins(path)]
     return page("The thesis, reproduced", "".join(parts))
 
 
@@ -45,6 +42,12 @@ def _origins(path: Path) -> Iterable[str]:
         yield section("Where it was computed", facts(made.items()))
 
 
+def _belongs(stem: str, name: str, names: Sequence[str]) -> bool:
+    """True if a file is an experiment's: it begins with its name, and with no longer name of another."""
+    fits = [other for other in names if stem == other or stem.startswith(f"{other}-")]
+    return bool(fits) and max(fits, key=len) == name
+
+
 def _lead(findings: Sequence[Mapping[str, Any]]) -> str:
     counts = Counter(str(finding["verdict"]) for finding in findings)
     known = [*MEANINGS, *(verdict for verdict in counts if verdict not in MEANINGS)]
@@ -54,17 +57,44 @@ def _lead(findings: Sequence[Mapping[str, Any]]) -> str:
     return f'<p class="lead">{text(words, "span")}</p><ul class="counts">{items}</ul>{meanings}'
 
 
+def _contents(findings: Sequence[Mapping[str, Any]], names: Sequence[str], titles: Mapping[str, str]) -> str:
+    """A link to each experiment, and what became of its quantities."""
+    items = []
+    for name in names:
+        counts = Counter(_words(str(finding["verdict"])) for finding in findings if finding["name"] == name)
+        found = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+        heading = _heading(name, titles)
+        items.append(f"<li>{link(heading, f'#{anchor_of(heading)}')} {text(f'({found})', 'span')}</li>")
+    return f"<nav><ul>{''.join(items)}</ul></nav>"
+
+
+def _heading(name: str, titles: Mapping[str, str]) -> str:
+    return f"{name}: {titles[name]}" if name in titles else name
+
+
 def _finding(finding: Mapping[str, Any]) -> str:
     verdict = str(finding["verdict"])
     kind = verdict if verdict in MEANINGS else "other"
-    compared = [("printed", shown(finding["printed"])), ("comes out", shown(finding["reproduced"]))]
+    compared = [("printed", _value(finding["printed"])), ("comes out", _value(finding["reproduced"]))]
     if finding["tolerance"] is not None:
-        compared.append(("tolerance", shown(finding["tolerance"])))
+        compared.append(("tolerance", _value(finding["tolerance"])))
     return (
         f'<div class="finding">{text(str(finding["quantity"]), "h4")}{facts(compared)}'
         f'<p><span class="verdict {kind}">{text(_words(verdict), "span")}</span>: '
         f"{text(str(finding['why']), 'span')}</p></div>"
     )
+
+
+def _value(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return ", ".join(map(_value, value))
+    if isinstance(value, dict):
+        return "; ".join(f"{key}: {_value(inner)}" for key, inner in value.items() if inner != "")
+    return str(value)
 
 
 def _words(verdict: str) -> str:

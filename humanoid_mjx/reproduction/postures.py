@@ -9,7 +9,7 @@ import numpy as np
 
 from humanoid_mjx.evaluation.episode import motion_of, play
 from humanoid_mjx.evaluation.film import Film
-from humanoid_mjx.evaluation.policy import find_policy
+from humanoid_mjx.evaluation.policy import best_policy
 from humanoid_mjx.report.rendering import render_film
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits, unprinted
 from humanoid_mjx.reproduction.ground import draw_bodies, standing
@@ -107,12 +107,15 @@ def _sign() -> Finding:
 
 def _switch(section: str, setting: Setting) -> list[Finding]:
     """Train on a posture, show the motion, and measure it, also of a heavier robot."""
+    setting.tell(f"section {section}: training {SEEDS} tables of {EPISODES} episodes")
     trained = _train(section, setting.config)
+    setting.tell(f"section {section}: playing and drawing the motion")
     task = trained.learner.task
     episode = play(trained)
     motion = motion_of(trained, episode)
     path = setting.out / f"figure-7.18-{section}.gif"
     render_film(Film(make_robot("legs").spec().compile(), motion.qpos, task.timestep), path)
+    setting.tell(f"section {section}: the same with {HEAVY:g} times the mass")
     learned = _measure(motion, task)
     heavy = task.replace(mass=np.float32(HEAVY))
     trained = trained._replace(learner=trained.learner.replace(task=heavy))
@@ -148,7 +151,7 @@ def _train(section: str, config: dict[str, Any]) -> Any:
         "record": 1,
     }
     with tempfile.TemporaryDirectory() as folder:
-        return find_policy(sweep(full, Path(folder) / "run", pool_size=SEEDS).path)
+        return best_policy(sweep(full, Path(folder) / "run", pool_size=SEEDS).path)
 
 
 def _measure(motion: Any, task: Any) -> Switch:

@@ -39,6 +39,7 @@ LOST = 10.0
 @experiment("robustness-5.7", "Computed torque and linear controllers: errors and cost")
 def robustness(setting: Setting) -> list[Finding]:
     """Root mean square errors by law, cycle time and model, and what the text says of them and of the cost."""
+    setting.tell(f"{len(CYCLES) * len(MODELS)} legs under {len(LAWS)} controllers each")
     errors = {law: _errors(law) for law in LAWS}
     title = "The planned motion, gains of Table 5.1: root mean square error of the worst joint (no dot: unstable)"
     with setting.figure(1, len(MODELS), (3.0, 3.2), title, legend=3, sharex=True, sharey=True) as (_, axes):

@@ -41,7 +41,7 @@ def reproduce(
 
     Args:
       say: called after each experiment with what it found and the seconds it took.
-      tell: called before each with its number and its name.
+      tell: called while one runs, with the progress in words.
 
     Raises:
       InputError: an unknown name, an override of what a named experiment does not use, or a damaged file in `out`.
@@ -59,8 +59,10 @@ def reproduce(
     findings = read_findings(out / FINDINGS) if (out / FINDINGS).exists() else []
     runs, found_now = [*read_runs(out), compute.made_by() | {"times": {}}], []
     for number, (experiment, setting) in enumerate(zip(chosen, settings, strict=True), start=1):
-        tell(f"{number} of {len(chosen)}, {experiment.name}")
+        place = f"{number} of {len(chosen)}, {experiment.name}"
+        tell(place)
         start, cpu_start = time.perf_counter(), time.process_time()
+        setting = replace(setting, tell=lambda words, place=place: tell(f"{place}: {words}"))
         found = [replace(finding, name=experiment.name) for finding in experiment.run(setting)]
         wall_s, cpu_s = time.perf_counter() - start, time.process_time() - cpu_start
         say(experiment, found, wall_s)

@@ -124,6 +124,7 @@ DRAWN = {
 def tracking(joint: int, setting: Setting) -> list[Finding]:
     """Figures 7.6 to 7.10, by joint: the error left after 5 s, the overshoot, and the printed place."""
     used, kp, kd = _gains(setting)
+    setting.tell(f"the motion under {len(VARIANTS)} controllers")
     motions = _motions(kp, kd)
     _draw(setting, joint, {words: motions[variant][:, joint] for variant, words in DRAWN.items()})
     printed, tolerance = thesis.TRACKING["error"][joint], TOLERANCES[joint]
@@ -152,6 +153,7 @@ def tracking(joint: int, setting: Setting) -> list[Finding]:
 def together(setting: Setting) -> list[Finding]:
     """Section 7 D: whether any one controller leaves all five errors; the table of those tried."""
     used, kp, kd = _gains(setting)
+    setting.tell(f"the motion under {len(VARIANTS)} controllers")
     printed, motions = np.array(thesis.TRACKING["error"]), _motions(kp, kd)
     left = {variant: np.abs(errors[-1]) for variant, errors in motions.items()}
     rows = {"printed": printed} | {variant.words: errors for variant, errors in left.items()}
@@ -213,7 +215,11 @@ def _draw(setting: Setting, joint: int, errors: Mapping[str, np.ndarray]) -> Non
 
 
 def _gains(setting: Setting) -> tuple[dict[str, float], tuple[float, ...], tuple[float, ...]]:
-    """Return the gains in use by name, and kp and kd by joint; raise an InputError if one is negative or not finite."""
+    """Return the gains in use by name, and kp and kd by joint.
+
+    Raises:
+      InputError: a gain that is no number, negative or not finite.
+    """
     used = {f"{name} of {joint}": gain for name in CONFIG for joint, gain in setting.config[name].items()}
     for name, gain in used.items():
         if not (isinstance(gain, (int, float)) and 0 <= gain < np.inf):
@@ -314,6 +320,7 @@ def remedies(setting: Setting) -> list[Finding]:
     scales = [scale for _, tried in TUNINGS.values() for scale in tried]
     cases = [Case(1.0, 1.0, leg, leg, p * kp, d * kd, share * kp * kd, BEGIN) for p, d, share in scales]
     cases.append(cases[0]._replace(kp=kp, kd=kd, begin=np.zeros(5)))
+    setting.tell(f"the motion under {len(cases)} tunings of partitioned PD")
     *errors, from_zero = np.abs(_errors(PARTITIONED.law, cases))
     ends = np.split(np.array(errors)[:, -1], np.cumsum([len(tried) for _, tried in TUNINGS.values()])[:-1])
     title = f"Partitioned PD, {thesis.QUINTIC_S:g} s after the start: error that each joint has left (no dot: unstable)"

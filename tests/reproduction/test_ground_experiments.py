@@ -1,11 +1,13 @@
 """What is found on the ground: who stands, that no table of gaits walks; and the measures of a path."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from test_leg_experiments import by_name
 
 from humanoid_mjx.control import make_law
-from humanoid_mjx.reproduction import ground, ground_gaits, load_experiments
+from humanoid_mjx.reproduction import ground, ground_control, ground_gaits, load_experiments
 from humanoid_mjx.reproduction.ground import (
     LASTS_S,
     PHASES,
@@ -26,18 +28,33 @@ SIGNS = ((1, 1, 1), (1, -1, -1))
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:  # 36 bodies, and three: three calls of one program
+    with pytest.MonkeyPatch.context() as patch:  # 36 bodies, and 24: three calls of one program
         patch.setattr(ground, "AT_ONCE", 24)
         patch.setattr(ground_gaits, "SIGNS", SIGNS)
+        patch.setattr(ground_control, "IMPULSES", (0.2, 0.4, 0.7))
         patch.setattr(ground_gaits, "PHASES", PHASES[:2])
-        patch.setattr(ground_gaits, "SECONDS", 1.6)
+        for experiment in (ground_gaits, ground_control):
+            patch.setattr(experiment, "SECONDS", 1.6)
         return by_name(NAMES, tmp_path_factory.mktemp("ground"))
 
 
 def test_computed_torque_stands_only_if_it_knows_the_contacts(found):
-    (blind,) = found[1]["ground-control"]
-    assert blind.verdict == "finding" and blind.reproduced < 1.5
+    blind, *pushes, roll = found[1]["ground-control"]
+    assert {f.verdict for f in (blind, *pushes)} == {"finding"} and blind.reproduced < 1.5
+    # A push that a body with ankles that do not roll stands, it stands as well with hips that do not.
+    assert roll.verdict == "differs" and roll.reproduced[1] >= roll.reproduced[0] >= 0.3
     assert "within the contacts computed torque stands, and a servo of 6 N m/rad stands" in blind.why
+    # Both are thrown over by a push that a rigid body on these feet would not stand either.
+    assert all(0.1 <= taken <= 0.6 for push in pushes for taken in push.reproduced)
+
+
+def test_rolls_that_help_against_pushes_from_the_side_would_be_found():
+    def paths(largest):
+        still = np.zeros((2, 17))
+        return {i: SimpleNamespace(fell=i > largest, qpos=still) for i in ground_control.IMPULSES}
+
+    assert ground_control.judge_roll(paths(0.5), paths(0.3)).verdict == "reproduced"
+    assert ground_control.judge_roll(paths(0.3), paths(0.3)).verdict == "differs"
 
 
 def test_the_gaits_of_the_tables_fall_in_every_reading(found):

@@ -8,6 +8,7 @@ from test_ground_experiments import carried
 
 from humanoid_mjx.reproduction import (
     Finding,
+    drives,
     errata,
     gains,
     ground,
@@ -130,21 +131,10 @@ def test_waiting_turns_with_the_share_that_arrives(share, expected, monkeypatch,
     assert verdicts("finding-waiting", tmp_path) == [expected] * 3
 
 
-def test_stepping_back_turns_with_its_largest_cost():
-    assert process._stepping_back(0.0).verdict == "reproduced"
-    assert process._stepping_back(1.0).verdict == "differs"
-
-
-@pytest.mark.parametrize("steps", [1, 6])
-def test_the_way_back_pays_up_to_its_largest_cost(steps):
-    """By iteration of the values of the places from the goal on, where to stay earns nothing."""
-    limit = process.largest_cost(steps, 100.0, 0.9)
-    for cost, pays in ((limit - 1e-3, True), (limit + 1e-3, False)):
-        values = np.zeros(steps + 1)  # the goal has no value beyond its bonus
-        for _ in range(1000):
-            back = -cost + 0.9 * values[:-1] + np.where(np.arange(steps) == 0, 100.0, 0.0)
-            values[1:] = np.maximum(back, 0.9 * values[1:])
-        assert (values[-1] > 1e-6) == pays
+def test_stepping_back_turns_with_the_share_that_does_not():
+    costs = np.array(process.BACK_REWARDS) < 0
+    assert process._stepping_back(np.where(costs, 0.0, 1.0)).verdict == "reproduced"
+    assert process._stepping_back(np.where(np.arange(len(costs)) == len(costs) - 1, 0.0, 1.0)).verdict == "differs"
 
 
 def test_a_printed_formula_that_is_right_is_reproduced():
@@ -220,6 +210,14 @@ def test_critical_damping_is_the_fastest_without_overshoot(monkeypatch):
     assert (fastest, close) == ("differs", "reproduced")
     monkeypatch.setattr(gains, "_slowest_decay", lambda ratios: 0.1)
     assert gains.judge_responses(times, right)[2].verdict == "reproduced"
+
+
+def test_tracking_without_the_interaction_has_a_verdict_where_no_rotor_decides_it():
+    good = np.zeros((len(drives.ROTORS), len(drives.HIGH)))
+    assert drives.judge_tracking(good).verdict == "reproduced"
+    assert drives.judge_tracking(good + 1.0).verdict == "differs"
+    some = good + np.arange(len(drives.HIGH))
+    assert drives.judge_tracking(some).verdict == "finding" and "4 track" in drives.judge_tracking(some).why
 
 
 def test_gains_against_their_bound():

@@ -90,8 +90,7 @@ def _names_at(states: States) -> dict[str, Any]:
         names |= dict(zip("noap", names["T"][:3].swapaxes(0, 1), strict=True))
     names |= {"KP": thesis.KP, "PSEUDO_INERTIAS": thesis.PSEUDO_INERTIAS}
     names |= {"script_centroids": dynamics.script_centroids(states.lengths)}
-    names["determinant"] = lambda matrix: np.linalg.det(np.moveaxis(matrix, -1, 0))
-    names["least_eigenvalue"] = lambda matrix: np.linalg.eigvalsh(np.moveaxis(matrix, -1, 0))[:, 0]
+    names |= {"determinant": _determinant, "least_eigenvalue": _least_eigenvalue}
     return names | {name: partial(function, states) for name, function in FUNCTIONS.items()}
 
 
@@ -160,6 +159,14 @@ FUNCTIONS = {
     "gravity": lambda states, **changes: dynamics.gravity(states.model._replace(**changes), states.q),
 }
 """Functions of formulas, which are given the states first."""
+
+
+def _determinant(matrix: np.ndarray) -> np.ndarray:
+    return np.linalg.det(np.moveaxis(matrix, -1, 0))
+
+
+def _least_eigenvalue(matrix: np.ndarray) -> np.ndarray:
+    return np.linalg.eigvalsh(np.moveaxis(matrix, -1, 0))[:, 0]
 
 
 def _turned(angle: np.ndarray) -> np.ndarray:
