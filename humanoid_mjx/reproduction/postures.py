@@ -9,7 +9,7 @@ import numpy as np
 
 from humanoid_mjx.evaluation.episode import motion_of, play
 from humanoid_mjx.evaluation.film import Film
-from humanoid_mjx.evaluation.policy import best_policy
+from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.report.rendering import render_film
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits, unprinted
 from humanoid_mjx.reproduction.ground import draw_bodies, standing
@@ -151,7 +151,7 @@ def _train(section: str, config: dict[str, Any]) -> Any:
         "record": 1,
     }
     with tempfile.TemporaryDirectory() as folder:
-        return best_policy(sweep(full, Path(folder) / "run", pool_size=SEEDS).path)
+        return find_policy(sweep(full, Path(folder) / "run", pool_size=SEEDS).path)
 
 
 def _measure(motion: Any, task: Any) -> Switch:
