@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from standing import MJX, NATIVE, VALUES, hold, standing, step
+from standing import MJX, NATIVE, hold, standing
 
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages
@@ -18,6 +18,30 @@ from humanoid_mjx.spec import InputError
 
 sense = jax.jit(jax.vmap(MJX.sense))
 """All that is sensed in many worlds."""
+
+
+@jax.jit
+def noted(physics, world, qacc, believed, held):
+    """A time step under a share of a servo's torques, and what its controller notes: the mass matrix, and the torques
+    for `qacc` if links had this mass, by one factor and by one for each link. One program, which takes long to compile,
+    for all tests of a step."""
+    notes = []
+
+    def controller(stages: Stages):
+        masses = believed, jnp.full(10, believed)
+        notes.append((stages.mass_matrix, [stages.torque_for(qacc, mass) for mass in masses]))
+        return held * hold(stages)
+
+    world, _ = physics.step(world, controller)
+    return world, *notes[0]
+
+
+STILL = np.zeros(10)
+
+
+def note(physics, world, qacc=STILL, believed=1.0, held=0.0):
+    """`noted` with its numbers as data of the program."""
+    return noted(jax.tree.map(jnp.float32, physics), world, *map(jnp.float32, (qacc, believed, held)))
 
 
 @pytest.fixture(scope="module")
@@ -75,16 +99,11 @@ def test_a_push_on_the_torso_gives_its_impulse(physics):
     qvel = np.random.default_rng(0).normal(size=16)
     force = np.array([3.0, -2.0, 1.0])
 
-    @jax.jit
-    def after(push):
-        pushed = physics.replace(push=tuple(push))
-        matrices = []
-        note = lambda stages: matrices.append(stages.mass_matrix) or jnp.zeros(10)  # noqa: E731
-        world, _ = pushed.step(physics.start(qpos, qvel), note)
-        return world.qvel, matrices[0]
-
-    (pushed, matrix), (left_alone, _) = after(jnp.asarray(force, float)), after(jnp.zeros(3))
-    gained = np.asarray(matrix) @ np.asarray(pushed - left_alone)
+    start = physics.start(qpos, qvel)
+    (pushed, *_), (left_alone, matrix, _) = (
+        note(physics.replace(push=tuple(push)), start) for push in (force, np.zeros(3))
+    )
+    gained = np.asarray(matrix) @ np.asarray(pushed.qvel - left_alone.qvel)
     # float32: velocities of order 3 carry 1e-7 each, times masses of 1.7.
     np.testing.assert_allclose(gained, np.concatenate([force * physics.step_s, np.zeros(13)]), atol=5e-6)
 
@@ -140,19 +159,6 @@ def test_what_a_branch_asks_for_first_is_there_behind_it_too(name):
     jax.eval_shape(lambda world: physics.step(world, branching), world)
 
 
-@jax.jit
-def torques_for(plant, qpos, qvel, qacc, believed):
-    """What a controller asks for that believes in links of this mass: one factor, then one for each link."""
-    asked = []
-
-    def note(stages: Stages):
-        asked.extend(stages.torque_for(qacc, mass) for mass in (believed, jnp.full(10, believed)))
-        return jnp.zeros(10)
-
-    plant.step(plant.start(qpos, qvel), note)
-    return jnp.concatenate(asked)
-
-
 @pytest.mark.parametrize("physics", [MJX, NATIVE], ids=["mjx", "native"])
 @pytest.mark.parametrize("believed", [0.5, 1.0, 3.0])
 def test_a_model_s_torque_is_that_of_a_body_of_its_mass(physics, believed):
@@ -162,7 +168,7 @@ def test_a_model_s_torque_is_that_of_a_body_of_its_mass(physics, believed):
     qvel, qacc = random.normal(size=16), 10 * random.normal(size=10)
     expected = held_torso_torque(believed, 0.02, qpos, qvel, qacc)
     plant = physics.replace(mass=2.0, damping=1.0)
-    found = torques_for(jax.tree.map(jnp.float32, plant), *map(jnp.float32, (qpos, qvel, qacc, believed)))
+    found = np.concatenate(note(plant, plant.start(qpos, qvel), qacc, believed)[2])
     assert np.ptp(expected) > 0.1
     # float32 through ten joints: torques of up to 1 N m carry a few 1e-6.
     np.testing.assert_allclose(found, np.tile(expected, 2), atol=1e-5)
@@ -181,11 +187,11 @@ class Joints(NamedTuple):
 
 
 def test_readings_on_the_way_are_those_of_the_last_step(worlds):
-    start, plain = jax.tree.map(lambda x: x[0], worlds), worlds
+    start = plain = jax.tree.map(lambda x: x[0], worlds)
     world, sensed = jax.jit(lambda world: MJX.run_sensed(world, hold, 3))(start)
     for _ in range(3):
-        plain, _ = step(VALUES, plain)
-    np.testing.assert_allclose(world.qpos, plain.qpos[0], atol=1e-6)
+        plain, *_ = note(MJX, plain, held=1.0)
+    np.testing.assert_allclose(world.qpos, plain.qpos, atol=1e-6)
     native, expected = jax.jit(lambda world: NATIVE.run_sensed(world, hold, 3))(start)
     before = jax.jit(lambda world: NATIVE.run(world, hold, 2))(start)
     np.testing.assert_allclose(native.qvel, world.qvel, atol=1e-3)
