@@ -118,9 +118,9 @@ def print_summary(
     quickest: bool,
 ) -> None:
     """The best points of a sweep, as `ranked` has them, and how fast it trained."""
-    from humanoid_mjx.runs.ranking import best_table
+    from humanoid_mjx.runs.ranking import BEST_POINTS, best_table
 
-    headings, rows = best_table(axes, summary, points, quickest, found)
+    headings, rows = best_table(axes, summary, points[:BEST_POINTS], quickest, found)
     title = f"{len(points)} points; the best {len(rows)}" if len(points) > 1 else "1 point"
     rates = [f"{provenance[f'{unit}_per_s']:,.0f} {unit}/s" for unit in RATES if f"{unit}_per_s" in provenance]
     caption = f"training made {' and '.join(rates)}, without compiling" if rates else None

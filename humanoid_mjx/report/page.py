@@ -39,6 +39,9 @@ from humanoid_mjx.training.progress import Reporter, counted
 FEW_VALUES = 12
 """More values of a swept parameter are not listed one by one."""
 
+ROWS = 200
+"""Most rows of the table of points."""
+
 DRIVEN_S = 6.0
 """Length of a film under one command, s."""
 
@@ -103,13 +106,12 @@ def _lead(
 def _result(
     path: Path, learning: Learning, summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool
 ) -> list[str]:
-    headings, rows = best_table(list(learning.axes), summary, points, quickest, learning.compared)
-    shown = len(rows)
-    some = f"The best {shown} of {len(points):,} points" if shown < len(points) else f"All {shown} points, best first"
-    caption = some if len(points) > 1 else "The only point"
+    headings, rows = best_table(list(learning.axes), summary, points[:ROWS], quickest, learning.compared)
+    every = f"humanoid_mjx.load_run({str(path)!r}).points() lists all"
+    some = f"The best {ROWS} of {len(points):,} points; {every}" if len(points) > ROWS else f"All {len(rows)} points"
+    caption = f"{some}, best first" if len(points) > 1 else "The only point"
     parts = [table(headings, rows, caption=caption)]
-    if found := in_words(list(learning.axes), points, learning.compared):
-        parts.append(text(_capital(found)))
+    parts += [text(_capital(line)) for line in in_words(list(learning.axes), points, learning.compared).splitlines()]
     for words in filter(None, (rungs_in_words(summary), why_stopped(path, summary))):
         parts.append(f'<p class="note">{text(words, "strong")}</p>')
     words = (
@@ -260,9 +262,8 @@ def _provenance(provenance: Mapping[str, Any]) -> list[str]:
         of = f", {devices} of them" if devices and devices != 1 else ""
         found.append(("computed by", f"{machine.get('device')}{of}" + f" (backend {machine.get('backend')})"))
         found.append(("machine", f"{machine.get('cpu')}, {cores} CPU cores, {machine.get('system')}"))
-    found.append(("numbers", provenance.get("precision")))
-    found.append(("seed of the sweep", provenance.get("seed")))
-    found.append(("commit", provenance.get("commit")))
+    told = ("precision", "numbers"), ("seed", "seed of the sweep"), ("commit", "commit")
+    found += [(words, provenance.get(name)) for name, words in told]
     found.append(("versions", ", ".join(f"{name} {value}" for name, value in part("versions").items())))
     shown = [(name, str(value)) for name, value in found if value not in (None, "")]
     return [facts(shown) if shown else text("This folder holds no provenance.json.")]

@@ -37,7 +37,7 @@ class Ranked(NamedTuple):
 
 
 BEST_POINTS = 10
-"""Rows of a table of points."""
+"""Rows of a table of points in a terminal."""
 
 
 def at_end(columns: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -150,7 +150,7 @@ def compared(mode: str, axes: Sequence[str], summary: Mapping[str, np.ndarray], 
             if name not in summary:
                 continue
             found = by_point(summary, name)[1] * (-1 if name.endswith("steps") else 1)
-            if not measure or _differ(found[left]):
+            if not measure or np.ptp(np.nan_to_num(found[left].mean(axis=1))) > SAME:
                 measure, values = name, found
             left[left] = not_worse(found[left], ERROR / len(names))
         known = whole & np.isfinite(values).all(axis=1)
@@ -160,11 +160,6 @@ def compared(mode: str, axes: Sequence[str], summary: Mapping[str, np.ndarray], 
     policy = judged(QUICKEST if quickest else RICHEST)
     learning = judged(["whole_steps" if quickest else "whole_return"])
     return Compared(policy, learning, int(whole.sum()), finished.shape[1])
-
-
-def _differ(values: np.ndarray) -> bool:
-    """True if the means of points are not the same."""
-    return bool(np.ptp(np.nan_to_num(values.mean(axis=1))) > SAME)
 
 
 def _matters(grid: bool, axes: Mapping[str, np.ndarray], values: np.ndarray) -> dict[str, Estimate]:
@@ -241,7 +236,7 @@ LITTLE = 0.05
 def best_table(
     axes: Sequence[str], summary: Mapping[str, np.ndarray], points: Sequence[Ranked], quickest: bool, found: Compared
 ) -> tuple[list[str], list[list[str]]]:
-    """Headings and rows of a table of the first `BEST_POINTS`, by what `quickest` judges them by (`ranked`)."""
+    """Headings and rows of a table of points, the best of all first, by what `quickest` judges them by (`ranked`)."""
     summary, measure = furthest(summary), "steps" if quickest else "return"
     seeds = len(np.unique(summary["seed"]))
     greedy = ["greedy steps"] if quickest else ["greedy return", "greedy steps"]
@@ -250,7 +245,7 @@ def best_table(
     headings += ["diverged"] * some_diverged + ["as good"] * compares
     measured = {each.measure: by_point(summary, each.measure) for each in found[:2] if each.measure}
     rows, wholes = [], summary.get(f"whole_{measure}", np.full(len(summary["point"]), np.nan))
-    for point in points[:BEST_POINTS]:
+    for point in points:
         low, high = interval(wholes[summary["point"] == point.point])
         whole = _number(point.whole) + (f" ({low:.2f} to {high:.2f})" if low < high else "")
         means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", whole]

@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import shutil
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from command_line import told
 from small_sweep import CONFIG
 
+import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import Film
@@ -93,6 +95,17 @@ def test_a_run_is_told_from_beginning_to_end(swept, html):
     assert "visits: moves made in each state" in " ".join(alts) and "NaN" not in " ".join(lines)
     # The task moves no robot.
     assert "<h2>The robot" not in html and '<figure class="player"' not in html
+
+
+def test_a_page_of_many_points_says_how_to_list_all(swept, tmp_path, monkeypatch):
+    monkeypatch.setattr("humanoid_mjx.report.page._row", lambda *_: [])  # no figures, which take seconds
+    monkeypatch.setattr("humanoid_mjx.report.page.ROWS", 3)
+    folder = Path(shutil.copytree(swept, tmp_path / "run"))
+    ((caption, rows),) = re.findall(r"<caption>(The best.*?)</caption>.*?<tbody>(.*?)</tbody>", report(folder))
+    (words,) = re.findall(r"The best 3 of 4 points; (humanoid_mjx\..*) lists all, best first", unescape(caption))
+    every = eval(words, {"humanoid_mjx": humanoid_mjx})
+    points = [int(row) for row in re.findall(r'<tr><td class="number">(\d+)<', rows)]
+    assert points == [each["point"] for each in every][:3] and len(every) == 4
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,7 @@ def test_the_table_of_the_best_points_says_where_another_is_worse():
     assert [row[5] for row in rows] == ["0 of 8", "1 of 8", "0 of 8"] and rows[0][4].startswith("40.0")
     assert rows[0][6] == "yes" and rows[1][6].startswith("slower, +9.") and rows[2][6] == "no, +3 to +3"
     many = {name: np.repeat(values, 4) for name, values in summary.items()}
-    assert len(table(many | {"point": np.tile(np.arange(12), 8), "seed": np.repeat(np.arange(8), 12)})[1]) == 10
+    assert len(table(many | {"point": np.tile(np.arange(12), 8), "seed": np.repeat(np.arange(8), 12)})[1]) == 12
 
 
 def test_the_summary_has_the_end_of_a_curve_and_the_whole_of_it():
