@@ -50,9 +50,10 @@ class Line(NamedTuple):
     """Number of places left out because only some of the seeds have a number there."""
 
 
-def possible(name: str) -> float:
-    """The greatest possible value of a measure: shares end at 1."""
-    return 1.0 if name.endswith("success") else np.inf
+def possible(name: str) -> tuple[float, float]:
+    """The least and the greatest possible value of a measure: success is a share, and steps are counted."""
+    least = 0.0 if name.endswith("success") or name in ("steps", "whole_steps", "greedy_steps") else -np.inf
+    return least, 1.0 if name.endswith("success") else np.inf
 
 
 def draw_band(
@@ -63,7 +64,7 @@ def draw_band(
     *,
     band: bool = True,
     joined: bool = True,
-    most: float = np.inf,
+    within: tuple[float, float] = (-np.inf, np.inf),
     **look: Any,
 ) -> Line:
     """Draw the median over seeds and its 95 % interval where every seed that has any number has one.
@@ -73,7 +74,7 @@ def draw_band(
       curves: NaN where there is no number.
       band: whether to draw the interval.
       joined: whether to draw a line through the places; else each has a bar for its interval.
-      most: the greatest possible value; of a share, whose least one is 0.
+      within: the possible values.
       look: how the line looks, such as `linestyle`.
     """
     known = np.isfinite(curves)
@@ -83,7 +84,7 @@ def draw_band(
     if not shown.any():
         return Line(float("nan"), left_out)
     at, middle = x[shown], np.median(curves[:, shown], axis=0)
-    low, high = interval(curves[:, shown], 0.0 if np.isfinite(most) else -np.inf, most) if band else (middle, middle)
+    low, high = interval(curves[:, shown], *within) if band else (middle, middle)
     if joined:
         panel.plot(at, middle, color=color, **{"linewidth": 1.4} | look)
         if band and len(curves) > 1:
@@ -101,7 +102,7 @@ def draw_band(
 
 def draw_bar(panel: Any, place: float, seeds: Float[np.ndarray, " seeds"], color: Any, name: str, **look: Any) -> None:
     """Draw the median of a measure over seeds at a place, with a bar for its interval."""
-    draw_band(panel, np.array([place]), seeds[:, None], color, joined=False, most=possible(name), **look)
+    draw_band(panel, np.array([place]), seeds[:, None], color, joined=False, within=possible(name), **look)
 
 
 def draw_line(

@@ -201,18 +201,18 @@ def draw_curves(panel: Any, learning: Learning, axis_name: str | None, name: str
     Returns:
       the last value of each solid line by its label; NaN where there is none.
     """
-    lines, most = _drawn(learning, axis_name, learning.read(name)), possible(name)
+    lines, within = _drawn(learning, axis_name, learning.read(name)), possible(name)
     dashed: dict[str, Any] = {"band": False, "linestyle": "--", "linewidth": 0.9, "alpha": 0.8}
     for line in lines:
         if line.mean is not None:
             draw_band(panel, learning.places, line.mean, line.color, **dashed)
-    ends = [draw_band(panel, learning.places, each.best, each.color, most=most, label=each.label).end for each in lines]
+    ends = [draw_band(panel, learning.places, one.best, one.color, within=within, label=one.label).end for one in lines]
     if learning.axes:
         label_lines(panel, None if axis_name else ", ".join(axis.rpartition(".")[2] for axis in learning.axes))
     count_axis(panel)
     panel.set_xlabel(COUNTED[learning.unit])
     panel.set_ylabel(CURVES[name])
-    return dict(zip((each.label for each in lines), ends, strict=True))
+    return dict(zip((one.label for one in lines), ends, strict=True))
 
 
 def draw_greedy(panel: Any, learning: Learning, axis_name: str | None, name: str) -> dict[str, float]:

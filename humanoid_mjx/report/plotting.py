@@ -219,7 +219,7 @@ def _draw(panel: Any, rows: Rows, across: Across, x: str, y: str, by: str | None
         place = None if across.place is None else across.place[line.chosen]
         at, seeds, values = (each[line.chosen] for each in (across.x, seed, columns[y]))
         look = (look if across.joined else {}) | {"label": line.label or "_"}
-        look |= {"place": place, "joined": across.joined, "most": possible(y)}
+        look |= {"place": place, "joined": across.joined, "within": possible(y)}
         drawn.append(draw_line(panel, at, seeds, values, line.color, **look))
     _ticks(panel, across, x in (rows.counter, TIME))
     heading = by or (RUN if len(rows.runs) > 1 else "")

@@ -246,7 +246,7 @@ def best_table(
     measured = {each.measure: by_point(summary, each.measure) for each in found[:2] if each.measure}
     rows, wholes = [], summary.get(f"whole_{measure}", np.full(len(summary["point"]), np.nan))
     for point in points:
-        low, high = interval(wholes[summary["point"] == point.point])
+        low, high = interval(wholes[summary["point"] == point.point], 0.0 if quickest else -np.inf)
         whole = _number(point.whole) + (f" ({low:.2f} to {high:.2f})" if low < high else "")
         means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", whole]
         diverged = f"{int(np.sum(summary['diverged'][summary['point'] == point.point]))} of {seeds}"

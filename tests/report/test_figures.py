@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from small_sweep import of_rows
 
+from humanoid_mjx.report.drawing import draw_bar
 from humanoid_mjx.report.figures import averaged, curved, draw_curves, draw_greedy, mapped, parameters
 from humanoid_mjx.report.parameters import draw_map, draw_parallel, local_mean
 from humanoid_mjx.runs.ranking import by_point, compared
@@ -51,6 +52,21 @@ def test_a_value_has_its_best_setting_and_the_mean_over_all(panel):
     box = panel.collections[0].get_paths()[0].get_extents()
     np.testing.assert_allclose([box.y0, box.y1], [low.min(), high.max()])
     assert "best after training" in averaged(learning) and "dashed: the mean" in averaged(learning)
+
+
+@pytest.mark.parametrize(
+    ("measure", "seeds", "ends"),
+    [
+        # The interval of three seeds reaches 0.813 of their range beyond them.
+        ("greedy_steps", [1.0, 9.0, 9.0], [0.0, 15.504]),
+        ("greedy_success", [0.2, 0.9, 0.9], [0.0, 1.0]),
+        ("greedy_return", [1.0, 9.0, 9.0], [-5.504, 15.504]),
+    ],
+)
+def test_a_band_ends_where_values_are_impossible(panel, measure, seeds, ends):
+    draw_bar(panel, 0.0, np.array(seeds), "black", measure)
+    ((_, low), (_, high)) = panel.containers[0].lines[2][0].get_segments()[0]
+    assert [low, high] == pytest.approx(ends)
 
 
 def test_greedy_episodes_stand_beside_the_curves(panel):
