@@ -125,8 +125,9 @@ def not_worse(values: Float[np.ndarray, "points seeds"], error: float = ERROR) -
 def _are_alike(values: Float[np.ndarray, "points seeds"], error: float) -> bool:
     """True if the means of points differ no more than chance makes them differ.
 
-    Chance is to deal out the values of each seed anew among the points: their range or their variance is then greater
-    in all but a share of `error` of the cases. Two points have too few such cases; Student's test compares them.
+    Chance is to deal out the values of each seed anew among the points. The probability of the range of the means, and
+    of their variance, is the share of deals in which it is as great; the smaller of both is compared with that of all
+    deals (P. Westfall and S. Young, 1993). Two points have too few deals; Student's test compares them.
     """
     points, seeds = values.shape
     if np.ptp(means := values.mean(axis=1)) < ROUNDING or seeds < 2:
@@ -136,13 +137,16 @@ def _are_alike(values: Float[np.ndarray, "points seeds"], error: float) -> bool:
 
         gaps = values[0] - values[1]
         return bool(2 * stdtr(seeds - 1, -abs(gaps.mean()) / max(gaps.std(ddof=1) / seeds**0.5, ROUNDING)) > error)
-    rng, found, as_far = np.random.default_rng(0), np.array([np.ptp(means), means.var()]), np.zeros(2)
-    for _ in range(RESAMPLES):
-        chance = rng.permuted(values, axis=0).mean(axis=1)
-        as_far += np.array([np.ptp(chance), chance.var()]) >= found * (1 - ROUNDING)
-        if (as_far + 1 > error / 2 * (RESAMPLES + 1)).all():
+    rng, as_far = np.random.default_rng(0), np.ones(2)
+    deals = np.array([[np.ptp(means), means.var()]] * (RESAMPLES + 1))
+    for i in range(1, len(deals)):
+        dealt = rng.permuted(values, axis=0).mean(axis=1)
+        deals[i] = np.ptp(dealt), dealt.var()
+        as_far += deals[i] >= deals[0] * (1 - ROUNDING)
+        if (as_far > error * len(deals)).all():
             return True
-    return False
+    nearer = np.max([np.searchsorted(np.sort(each), each * (1 - ROUNDING)) for each in deals.T], axis=0)
+    return bool(np.mean(nearer >= nearer[0]) > error)
 
 
 def of_levels(

@@ -92,6 +92,14 @@ def test_worse_points_are_told_from_the_best(seeds, kept):
     assert not_worse(rng.normal(size=(20, 1))).all(), "one seed tells nothing"
 
 
+@pytest.mark.parametrize(("points", "seeds"), [(3, 5), (4, 4), (9, 3)])
+def test_one_point_that_fails_is_told_from_few(points, seeds):
+    """Chance picks the same point for all seeds once in points ** (seeds - 1) cases, here less often than 2.5 %."""
+    values = np.random.default_rng(3).normal(0.9, 0.01, (points, seeds))
+    values[1] -= 0.9
+    assert not_worse(values, 0.025).tolist() == [point != 1 for point in range(points)]
+
+
 def test_common_seeds_make_a_small_difference_visible():
     rng = np.random.default_rng(1)
     luck = rng.normal(size=8)
