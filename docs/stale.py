@@ -1,9 +1,11 @@
-"""Records of docs/bench that are older than what they measure, by the paths that each depends on.
+"""Records of docs/bench that are older than what they measure, by the paths that each depends on, and records
+of commits that are not in the history.
 
 python docs/stale.py          # in a clone with its history; a line for each record, the stalest first
 """
 
 import fnmatch
+import math
 import re
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -45,22 +47,23 @@ def commits_of(text: str) -> set[str]:
     return set(re.findall(r'"commit": "([0-9a-f]{7,40})', text))
 
 
-def changes(root: Path, commit: str, paths: Sequence[str]) -> int | None:
-    """Return how many commits after one changed the paths; None without git, or where it does not know the commit."""
-    command = ["git", "rev-list", "--count", f"{commit}..HEAD", "--", *paths]
-    try:
-        done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
-    except OSError:
-        return None
-    return int(done.stdout) if done.returncode == 0 else None
+def changes(root: Path, commit: str, paths: Sequence[str]) -> float:
+    """Return how many commits after one changed the paths; infinitely many where HEAD does not come after it."""
+
+    def git(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(["git", *words], cwd=root, capture_output=True, text=True, check=False)
+
+    if git("merge-base", "--is-ancestor", commit, "HEAD").returncode:
+        return math.inf
+    return int(git("rev-list", "--count", f"{commit}..HEAD", "--", *paths).stdout)
 
 
-def stale(root: Path, records: Mapping[str, str]) -> dict[str, tuple[str, int]]:
+def stale(root: Path, records: Mapping[str, str]) -> dict[str, tuple[str, float]]:
     """Return of each record that is older than what it measures its oldest commit, and how many changed that since."""
     found = {}
     for name, text in records.items():
         paths = paths_of(name)
-        ages = {commit: changes(root, commit, paths) or 0 for commit in commits_of(text) if paths}
+        ages = {commit: changes(root, commit, paths) for commit in commits_of(text) if paths}
         if any(ages.values()):
             found[name] = max(ages.items(), key=lambda each: each[1])
     return dict(sorted(found.items(), key=lambda each: -each[1][1]))
@@ -70,7 +73,8 @@ def main() -> None:
     """Print the records that are older than what they measure."""
     records = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "bench").glob("*.json")}
     for name, (commit, count) in stale(ROOT, records).items():
-        print(f"{name}: {count} commits since {commit[:7]} change what it measures")
+        lost = f"{commit[:7]}, at which it was measured, is not in this history"
+        print(f"{name}: {lost if count == math.inf else f'{count} commits since {commit[:7]} change what it measures'}")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import json
+import math
 import os
 import re
 import shutil
@@ -76,7 +77,8 @@ def test_records_older_than_what_they_measure_are_found(tmp_path):
         commits.append(git("rev-parse", "HEAD"))
     first, second, last = (f'"commit": "{commit}"' for commit in commits)
     old = {"walk": first, "parity": first, "stand": second + last, "squat": last, "other": '"commit": "0000000"'}
-    assert stale.stale(tmp_path, old) == {"walk": (commits[0], 1), "stand": (commits[1], 1)}
+    lost = {"other": ("0000000", math.inf)}
+    assert stale.stale(tmp_path, old) == {"walk": (commits[0], 1), "stand": (commits[1], 1)} | lost
 
 
 def test_the_notebook_holds_what_its_page_runs():
