@@ -210,7 +210,8 @@ def in_words(axes: Sequence[str], points: Sequence[Ranked], found: Compared) -> 
         told = f"{unsure} of the {of} is best; the first of the table has {best}"
     else:
         equal = f"{policy:,} of {of} are not told apart from it" if policy > 1 else "better than all other points"
-        then = f", {learning:,} of these by {second}" if second and policy > 1 else ""
+        these = f"{learning:,} of these" if learning > 1 else "and it is the best of these"
+        then = f", {these} by {second}" if second and policy > 1 else ""
         told = f"best: {best}; {equal} by {first}{then}"
     if min(len(found.policy.matters), len(axes)) < 2:
         return f"{told}."

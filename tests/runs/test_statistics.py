@@ -199,6 +199,19 @@ def test_a_sweep_says_what_it_found_or_that_it_cannot_tell():
     assert "cannot tell with 1 seed which of the 12 points" in told(rates[..., :1], 1)
 
 
+@pytest.mark.parametrize(
+    ("slower", "words"), [(1.0, "and it is the best of these by steps over"), (0.0, "4 of these by steps over")]
+)
+def test_of_policies_alike_the_one_that_learned_sooner_is_best(slower, words):
+    rng, axes = np.random.default_rng(5), ["learner.epsilon", "learner.rate"]
+    summary = summary_of(np.tile(np.array([0.1, 0.5, 0.9])[None, :, None], (4, 1, 5)), 5)
+    summary["whole_steps"] = 50.0 + slower * summary["point"] + rng.normal(0.0, 0.01, 60)
+    found = compared("grid", axes, summary, quickest=True)
+    assert f"from it by success of greedy episodes, {words} all of training." in in_words(
+        axes, ranked(axes, summary, quickest=True), found
+    )
+
+
 def test_a_sweep_that_is_not_over_compares_what_is():
     """Of four points one lacks a seed; of another sweep no point has all of them."""
     rng = np.random.default_rng(6)
