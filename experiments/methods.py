@@ -1,4 +1,4 @@
-"""The methods of `tabular_q` against the book and against each other, in half an hour on one core.
+"""The methods of `tabular_q` against the book and against each other, in a quarter of an hour on one core.
 
 python experiments/methods.py            # writes docs/bench/methods.json and docs/methods.png
 python experiments/methods.py --draw     # the figure alone, from the record
