@@ -17,20 +17,15 @@ MAX_LABELS, MAX_CELLS = 8, 60
 """The most values written along a side of a heat map, and the most of its cells that say their number."""
 
 
-def _judged(learning: Learning) -> tuple[str, Float[np.ndarray, " points"]]:
-    """The measure by which policies are told apart, and its value for each point."""
-    name = learning.compared.policy.measure
-    return name, of_points(learning, name)
-
-
 def draw_points(panel: Any, learning: Learning, _: str | None, axis: str) -> dict[str, float]:
     """The result of each point over a parameter, with a local mean of the points and its 95 % interval."""
-    (name, result), column = _judged(learning), learning.axes[axis]
+    policy, column = learning.compared.policy, learning.axes[axis]
+    result = of_points(learning, policy.measure)
     words = column.dtype.kind not in "iuf"
     levels = find_levels(column)
     x = levels.index.astype(float) if words else column.astype(float)
     known = np.isfinite(result)
-    good = np.isin(learning.points, list(learning.compared.policy.as_good))
+    good = np.isin(learning.points, list(policy.as_good))
     for chosen, color in ((known & ~good, "0.55"), (known & good, COLORS[1])):
         panel.plot(x[chosen], result[chosen], "o", color=color, markersize=3.5, alpha=0.7)
     logarithmic = not words and is_geometric(np.sort(x))
@@ -46,7 +41,7 @@ def draw_points(panel: Any, learning: Learning, _: str | None, axis: str) -> dic
         low, high = (np.clip(end, np.nanmin(result), np.nanmax(result)) for end in (low, high))
         panel.fill_between(at, low, high, color=COLORS[0], alpha=0.2, linewidth=0)
     panel.set_xlabel(axis)
-    panel.set_ylabel(MEASURES[name])
+    panel.set_ylabel(MEASURES[policy.measure])
     return {}
 
 
@@ -78,16 +73,16 @@ def draw_importance(panel: Any, learning: Learning, axis_name: str | None, judge
 
 def draw_parallel(panel: Any, learning: Learning, axis_name: str | None) -> dict[str, float]:
     """Parallel coordinates: a line for each point through its values of all parameters, yellow where it is best."""
-    (name, result), good = _judged(learning), learning.compared.policy.as_good
-    places = []
+    policy, places = learning.compared.policy, []
+    result = of_points(learning, policy.measure)
     for column in learning.axes.values():
         x = find_levels(column).index.astype(float) if column.dtype.kind not in "iuf" else column.astype(float)
         x = np.log(x) if column.dtype.kind in "iuf" and is_geometric(np.sort(x)) else x
         places.append((x - x.min()) / (np.ptp(x) or 1.0))
     heights, least, span = np.stack(places), np.nanmin(result), np.nanmax(result) - np.nanmin(result) or 1.0
-    colors = plt.get_cmap("cividis_r" if name.endswith("steps") else "cividis")
+    colors = plt.get_cmap("cividis_r" if policy.measure.endswith("steps") else "cividis")
     for point in list(learning.order)[::-1]:
-        bold = learning.points[point] in good
+        bold = learning.points[point] in policy.as_good
         panel.plot(
             heights[:, point], color=colors((result[point] - least) / span), linewidth=1.8 if bold else 0.7, alpha=0.9
         )
