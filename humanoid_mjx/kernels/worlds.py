@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jax.custom_batching import custom_vmap
 from jax.experimental.layout import Layout, with_layout_constraint
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
@@ -85,7 +86,7 @@ def kernel_here(function: Callable[..., Any], *args: Any, back_ends: Collection[
     if jax.default_backend() not in back_ends:
         return function(*args)
     closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
-    traced = [isinstance(value, jax.core.Tracer) for value in closed.consts]
+    traced = [isinstance(value, Tracer) for value in closed.consts]
     known = [None if flag else value for flag, value in zip(traced, closed.consts, strict=True)]
     structure = jax.tree.structure(shapes)
 
