@@ -209,21 +209,33 @@ def in_words(axes: Sequence[str], points: Sequence[Ranked], found: Compared) -> 
     if (learning if second else policy) == found.complete:
         told = f"{unsure} of the {of} is best; the first of the table has {best}"
     else:
-        equal = f"{policy:,} of {of} are not told apart from it" if policy > 1 else "better than all other points"
-        these = f"{learning:,} of these" if learning > 1 else "and it is the best of these"
-        then = f", {these} by {second}" if second and policy > 1 else ""
-        told = f"best: {best}; {equal} by {first}{then}"
+        equal = f"{policy:,} of {of}, itself among them, are not told apart from it"
+        equal = equal if policy > 1 else "better than all other points"
+        these = f"{learning:,} of these are not" if learning > 1 else "it is the best of these"
+        then = f", and {these} by {second}" if second and policy > 1 else ""
+        told = f"best: {best}{_at_ends(axes, points)}; {equal} by {first}{then}"
     if min(len(found.policy.matters), len(axes)) < 2:
         return f"{told}."
     most = {words: _most(each) for words, each in ((first, found.policy), (second, found.learning))}
-    parts = [f"for {words}: {names}" for words, names in most.items() if names]
-    return f"{told}.\nwhat matters {'; '.join(parts)}." if parts else f"{told}; {unsure} parameter matters."
+    parts = [f"for {words} {names}" for words, names in most.items() if names]
+    shares = "what matters, by its share of the differences between points"
+    return f"{told}.\n{shares}: {'; '.join(parts)}." if parts else f"{told}; {unsure} parameter matters."
+
+
+def _at_ends(axes: Sequence[str], points: Sequence[Ranked]) -> str:
+    """Which values of the best point are the least or the greatest of three or more, in words."""
+    ends = []
+    for axis, values in zip(axes, zip(*(point.values for point in points), strict=True), strict=True):
+        numbers = len(set(values)) > 2 and all(isinstance(value, int | float | np.number) for value in values)
+        if numbers and values[0] in (min(values), max(values)):
+            ends.append(axis.rpartition(".")[2])
+    return f" (at the end of the values tried: {', '.join(ends)})" if ends else ""
 
 
 def _most(judged: Judged) -> str:
     """The parameters that matter most for a measure, in words; nothing if that is not sure."""
     sure = [
-        f"{name}{' together' * (' and ' in name)} ({share.value:.0%})"
+        f"{'the interaction of ' * (' and ' in name)}{name} ({share.value:.0%})"
         for name, share in judged.matters.items()
         if share.low > 0 and share.value > LITTLE
     ]

@@ -190,9 +190,11 @@ def test_a_sweep_says_what_it_found_or_that_it_cannot_tell():
     words = told(rates, 5)
     assert (
         words.startswith("best: epsilon 0.")
-        and "rate 2; 4 of 12 points are not told apart from it by success of greedy" in words
+        and "; 4 of 12 points, itself among them, are not told apart from it by success of greedy" in words
+        and "rate 2 (at the end of the values tried: " in words
+        and "rate); 4" in words
     )
-    assert words.endswith("\nwhat matters for success of greedy episodes: rate (100%).")
+    assert words.endswith(": for success of greedy episodes rate (100%).")
     chance = told(rng.normal(0.5, 0.1, (4, 3, 5)), 5)
     assert chance.startswith("cannot tell with 5 seeds which of the 12 points is best;")
     assert chance.endswith("cannot tell with 5 seeds which parameter matters.")
@@ -200,7 +202,8 @@ def test_a_sweep_says_what_it_found_or_that_it_cannot_tell():
 
 
 @pytest.mark.parametrize(
-    ("slower", "words"), [(1.0, "and it is the best of these by steps over"), (0.0, "4 of these by steps over")]
+    ("slower", "words"),
+    [(1.0, "and it is the best of these by steps over"), (0.0, "and 4 of these are not by steps over")],
 )
 def test_of_policies_alike_the_one_that_learned_sooner_is_best(slower, words):
     rng, axes = np.random.default_rng(5), ["learner.epsilon", "learner.rate"]
