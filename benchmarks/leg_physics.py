@@ -47,7 +47,7 @@ def chain(batch: int, steps: int, controlled: bool = True, again: int = 1) -> Ca
 @cache
 def _chain_program(steps: int, controlled: bool) -> Callable[..., Any]:
     leg, physics = Leg.physical(), make_physics("chain", robot="leg", timestep=TIMESTEP)
-    model, errors = leg.scaled(np.array(MASS_ERRORS)), np.array(MASS_ERRORS, np.float32)
+    model, errors = leg.scaled(np.array(MASS_ERRORS)), jnp.array(MASS_ERRORS)
     kp, kd, goal = jnp.full(5, KP), jnp.full(5, KD), at_rest(jnp.full(5, GOAL))
 
     def controller(_: Any, qpos: jax.Array, qvel: jax.Array) -> jax.Array:

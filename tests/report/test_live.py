@@ -20,7 +20,7 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, Stage
-from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_changed_world
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.report.live import Window, _scales, make_server, serve
 from humanoid_mjx.robot import make_robot
@@ -211,7 +211,7 @@ def test_the_first_push_is_one_of_the_training(name):
 
 
 def test_a_policy_that_was_trained_without_pushes_gets_a_gentle_one():
-    live = Live(in_changed_world(find_policy("walk"), ["task.push.impulse=0"]))
+    live = Live(in_world(find_policy("walk"), None, ["task.push.impulse=0"]))
     assert 0.0 < _scales(live)["push"].now < 0.1
 
 
