@@ -12,6 +12,7 @@ outcome of every episode added to one of 100 points of a learning curve.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -86,21 +87,31 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in a scan: a thread for each device, blocks that fit the cache of a CPU."""
     learner = own_learner()
     options = compute.compiler_options(learner.task.arithmetic, learner.program, every_device=True)
-    train = jax.jit(jax.vmap(by_scan, in_axes=(0, 0, None)), donate_argnums=1, compiler_options=options)
-    return _shared_out(learner, epsilon, steps, train, CPU_BLOCK if jax.default_backend() == "cpu" else None)
+    train = jax.vmap(by_scan, in_axes=(0, 0, None))
+    return _shared_out(learner, epsilon, steps, train, options, CPU_BLOCK if jax.default_backend() == "cpu" else None)
 
 
 def fused(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in one kernel."""
     by_kernel = jax.vmap(TRAIN, in_axes=(0, 0, None)) if jax.default_backend() == "cpu" else gpu_kernel.advance
-    return _shared_out(own_learner(), epsilon, steps, jax.jit(by_kernel, donate_argnums=1))
+    return _shared_out(own_learner(), epsilon, steps, by_kernel)
 
 
 def _shared_out(
-    learner: TabularQ, epsilon: np.ndarray, steps: int, train: Callable[..., Any], block: int | None = None
+    learner: TabularQ,
+    epsilon: np.ndarray,
+    steps: int,
+    train: Callable[..., Any],
+    options: dict[str, Any] | None = None,
+    block: int | None = None,
 ) -> Made:
     """Agents in equal shares on all devices, in blocks of about `block` where it is given."""
-    first, episodes = jax.jit(jax.vmap(begin)), jax.jit(lambda state: state.carry.agents.episode.sum())
+    first = jax.jit(jax.vmap(begin))
+
+    @partial(jax.jit, donate_argnums=1, compiler_options=options)
+    def further(learners: Any, state: Any, steps: Any) -> tuple[Any, jax.Array]:
+        state = train(learners, state, steps)
+        return state, state.carry.agents.episode.sum()
 
     def start(device: Any, share: np.ndarray) -> tuple[Any, list[Any]]:
         learners = jax.tree.map(lambda x: np.full(len(share), x, np.result_type(np.float32, x)), learner)
@@ -110,8 +121,8 @@ def _shared_out(
 
     def go_on(learners: Any, state: list[Any]) -> jax.Array:
         """Train on from where the last call ended; as in a sweep, states change in their place."""
-        state[0] = train(learners, state[0], steps)
-        return episodes(state[0])
+        state[0], episodes = further(learners, state[0], steps)
+        return episodes
 
     devices = jax.local_devices()[: len(epsilon)]
     blocks = max(1, len(epsilon) // (block * len(devices))) if block else 1
