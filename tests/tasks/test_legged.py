@@ -58,17 +58,29 @@ def test_a_users_own_reward_term_needs_a_weight_and_an_entry():
     np.testing.assert_allclose(sum(after.metrics.values()), after.reward, atol=1e-6)
 
 
-def test_a_term_without_a_weight_gets_a_sentence():
-    class Careless(StandRewards):
-        def terms(self, view):
-            return super().terms(view) | {"hop": view.feet.height.min()}
+class Careless(StandRewards):
+    def terms(self, view):
+        return super().terms(view) | {"hop": view.feet.height.min()}
 
+
+class Empty(rewards.Rewards):
+    hop: float = 1.0
+
+
+@pytest.mark.parametrize(
+    ("own", "words"),
+    [
+        (Careless(), "rewards: the term 'hop' of Careless has no weight; declare a traced field"),
+        (Empty(), "rewards: Empty has no term; declare a traced field, as `upright`"),
+    ],
+)
+def test_a_term_without_a_weight_gets_a_sentence(own, words):
     class Task(LeggedTask):
-        rewards: Careless = Careless()
+        rewards: type(own) = own
 
     task = Task(physics="mujoco")
     state = jax.eval_shape(task.reset, KEYS[0])
-    with pytest.raises(InputError, match="rewards: the term 'hop' of Careless has no weight; declare a traced field"):
+    with pytest.raises(InputError, match=words):
         jax.eval_shape(task.step, state, jax.ShapeDtypeStruct((JOINTS,), jnp.int32), KEYS[0])
 
 

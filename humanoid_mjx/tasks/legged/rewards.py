@@ -68,9 +68,11 @@ class Rewards(Spec):
         """The parts of the reward by name; it is their sum.
 
         Raises:
-          InputError: a term has no weight.
+          InputError: there is no term, or a term has no weight.
         """
         terms = self.terms(view)
+        if not terms:
+            raise InputError(f"rewards: {type(self).__name__} has no term; declare a traced field, as `upright`.")
         if missing := [name for name in terms if name not in type(self).model_fields]:
             name = type(self).__name__
             raise InputError(
