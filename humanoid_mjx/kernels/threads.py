@@ -568,9 +568,14 @@ def _fixed_and_carried(eqn: Any) -> tuple[int, int]:
 
 def _is_long(eqn: Any) -> bool:
     """True for a loop of known length that is not unrolled."""
-    length, (first, kept) = eqn.params["length"], _fixed_and_carried(eqn)
-    stacks = first + kept < len(eqn.invars) or kept < len(eqn.outvars)
-    return length > LONG or (not stacks and length * _operations(eqn.params["jaxpr"].jaxpr) > MANY)
+    length = eqn.params["length"]
+    return length > LONG or (not _stacks(eqn) and length * _operations(eqn.params["jaxpr"].jaxpr) > MANY)
+
+
+def _stacks(eqn: Any) -> bool:
+    """True for a scan that takes or gives something else in each step."""
+    first, kept = _fixed_and_carried(eqn)
+    return first + kept < len(eqn.invars) or kept < len(eqn.outvars)
 
 
 def _operations(jaxpr: Any) -> int:
@@ -581,8 +586,8 @@ def _operations(jaxpr: Any) -> int:
 
 def _looped(eqn: Any) -> ClosedJaxpr:
     """A loop of known length as a `while`."""
-    params, (first, kept) = eqn.params, _fixed_and_carried(eqn)
-    if first + kept < len(eqn.invars) or kept < len(eqn.outvars):
+    params, (first, _) = eqn.params, _fixed_and_carried(eqn)
+    if _stacks(eqn):
         raise NotImplementedError("threads stack nothing along a loop that changes arrays in memory")
 
     step = jaxpr_as_fun(params["jaxpr"])

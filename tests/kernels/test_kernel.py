@@ -404,7 +404,7 @@ def test_a_short_loop_of_many_operations_is_not_unrolled():
     )
     assert many == few
     found, expected = (jax.jit(jax.vmap(of(partial(function, 14))))(X[0]) for of in (worlds.kernel, lambda f: f))
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    np.testing.assert_allclose(found, expected, atol=1e-4)  # 560 sines in turn, each with an error of 1.2e-7
 
 
 MAPS = {
