@@ -1,9 +1,8 @@
 """Steps a second of the leg in the air, under computed torque or without a controller, at 2 ms.
 
 The physics is this package's chain, float32: `ChainPhysics.run` on a CPU, one program per core, and `dynamics.rollout`
-on a GPU. The controller's model has the
-mass of every link 20 % off, one up, the next down: nothing of the plant's can be used again. `opponents.py` adds MJX
-and native MuJoCo.
+on a GPU. The controller's model has the mass of every link 20 % off, one up, the next down: nothing of the plant's can
+be used again. `opponents.py` adds MJX and native MuJoCo.
 """
 
 from collections.abc import Callable
