@@ -1,8 +1,8 @@
 """Steps a second of the leg in the air, under computed torque or without a controller, at 2 ms.
 
-The physics is this package's chain, float32: `ChainPhysics.run` on a CPU, one program per core, and `dynamics.rollout`
-on a GPU. The controller's model has the mass of every link 20 % off, one up, the next down: nothing of the plant's can
-be used again. `opponents.py` adds MJX and native MuJoCo.
+The physics is this package's chain, float32: `ChainPhysics.run`, on a CPU one program per core. The controller's model
+has the mass of every link 20 % off, one up, the next down: nothing of the plant's can be used again. `opponents.py`
+adds MJX and native MuJoCo.
 """
 
 from collections.abc import Callable
@@ -17,8 +17,6 @@ from timing import on_all_devices
 from humanoid_mjx import compute, make_physics
 from humanoid_mjx.control import at_rest, servo
 from humanoid_mjx.control.stages import Stages
-from humanoid_mjx.mechanics import dynamics
-from humanoid_mjx.robot.leg import Leg
 
 TIMESTEP = 0.002
 """s."""
@@ -26,9 +24,6 @@ TIMESTEP = 0.002
 KP, KD, GOAL = 70.0, 32.0, 0.5
 MASS_ERRORS = (0.8, 1.2, 0.8, 1.2, 0.8)
 """The controller's model against the leg, link by link."""
-
-UNROLL = 4
-"""Steps of the chain in one pass of the loop: a GPU waits for the start of each pass."""
 
 
 def start(batch: int) -> tuple[np.ndarray, np.ndarray]:
@@ -45,21 +40,13 @@ def chain(batch: int, steps: int, controlled: bool = True, again: int = 1) -> Ca
 
 @cache
 def _chain_program(steps: int, controlled: bool) -> Callable[..., Any]:
-    leg, physics = Leg.physical(), make_physics("chain", robot="leg", timestep=TIMESTEP)
-    model, errors = leg.scaled(np.array(MASS_ERRORS)), jnp.array(MASS_ERRORS)
+    physics, errors = make_physics("chain", robot="leg", timestep=TIMESTEP), jnp.array(MASS_ERRORS)
     kp, kd, goal = jnp.full(5, KP), jnp.full(5, KD), at_rest(jnp.full(5, GOAL))
-
-    def controller(_: Any, qpos: jax.Array, qvel: jax.Array) -> jax.Array:
-        if not controlled:
-            return jnp.zeros(5)
-        return dynamics.inverse_dynamics(model, qpos, qvel, servo(kp, kd, goal, qpos, qvel))
 
     def law(state: Stages) -> jax.Array:
         return state.torque_for(servo(kp, kd, goal, state.qpos, state.qvel), errors) if controlled else jnp.zeros(5)
 
     def simulate(qpos: jax.Array, qvel: jax.Array) -> Any:
-        if jax.default_backend() == "cpu":
-            return physics.run(physics.start(qpos, qvel), law, steps)
-        return dynamics.rollout(leg, qpos, qvel, controller, TIMESTEP, steps, unroll=UNROLL)[0]
+        return physics.run(physics.start(qpos, qvel), law, steps)
 
     return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options("scalars", every_device=True))

@@ -32,6 +32,15 @@ def given_up() -> str | None:
     return _given_up[0] if _given_up else None
 
 
+def why_none() -> str | None:
+    """Return the reason why no kernels are made here; None if they are, on a CPU or by Triton on a GPU."""
+    backend = jax.default_backend()
+    major = str(getattr(jax.local_devices()[0], "compute_capability", "")).partition(".")[0]
+    if backend == "gpu" and not (major.isdigit() and int(major) >= 8):
+        return "the GPU is not of NVIDIA's Ampere or later ones"
+    return given_up() if backend in SLOWER else f"kernels are made for CPUs and GPUs, not for {backend!r}"
+
+
 def none_for(backend: str) -> bool:
     """Return whether no kernel can be made: this process has given up, or llvmlite does not import for a CPU's."""
     if backend == "cpu" and not _given_up:

@@ -16,16 +16,20 @@ import numpy as np
 from jax import lax
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as gpu
-from jax.extend.core import jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
 from jaxtyping import Array, Float
 
-from humanoid_mjx.kernels.memory import THREADS, Constants, Device, Region, Shared, assembly
+from humanoid_mjx.kernels.memory import THREADS, Constants, Device, Record, Region, Shared, Table, Words, assembly, bits
 from humanoid_mjx.kernels.signature import Kind, Signature, signature
 from humanoid_mjx.kernels.sums import fused
 from humanoid_mjx.kernels.threads import Threads, power_of_two
 
 Results = Callable[[Sequence[Array]], list[Float[Array, " worlds"]]]
 """From the elements of a function's arguments to those of what it gives, each of all worlds of a block."""
+
+MOST_WORK = 250_000
+"""Numbers that a world takes, times operations, of a kernel in which each number is loaded by itself. Triton's time
+grows with it (see `_Stage`): 3 s for 27,000, 6 s for 99,000, 98 s for 800,000, on the host of an H100."""
 
 PAGE = 48 * 1024 // (4 * THREADS)
 """Rows, or words of each thread, that fit into the shared memory that a block may declare."""
@@ -60,7 +64,7 @@ def call(
     known: Signature, leaves: Sequence[Array], worlds: int, interpret: bool = False
 ) -> tuple[list[Array], list[Kind]]:
     """Call a function of one world, each in a thread; see `cpu_kernel.call`."""
-    found, in_place = kinds_of_results(known)
+    found, in_place, constants = kinds_of_results(known)
     flat = [
         leaf.reshape((worlds, -1) if kind.stays else -1).astype(_stored(kind.dtype))
         for leaf, kind in zip(leaves, known.given, strict=True)
@@ -73,22 +77,45 @@ def call(
         input_output_aliases=in_place,
         compiler_params=gpu.CompilerParams(num_warps=THREADS // 32, num_stages=1),
         interpret=interpret,
-    )(*flat)
+    )(*flat, *map(jnp.asarray, constants))
     return [x.reshape(kind.of_all(worlds)).astype(kind.dtype) for x, kind in zip(results, found, strict=True)], found
 
 
 @lru_cache
-def kinds_of_results(known: Signature) -> tuple[list[Kind], dict[int, int]]:
-    """Return the kinds of the results, and arguments in whose place results are, see `Signature.evaluate`."""
+def kinds_of_results(known: Signature) -> tuple[list[Kind], dict[int, int], list[np.ndarray]]:
+    """Return the kinds of the results, arguments in whose place results are, see `Signature.evaluate`, and the words of
+    each array of constants that is looked up."""
+    if any(np.dtype(kind.dtype).itemsize > 4 for kind in known.given):
+        raise NotImplementedError("threads compute with numbers of 32 bits")
     kept: list[Any] = []
+    constants: list[np.ndarray] = []
+
+    def looked_up(number: int, words: Words) -> Region:
+        constants.append(np.array([bits(word) for word in words], np.int32))
+        return Constants(number, words, True)
 
     def results(numbers: Sequence[Array]) -> list[Array]:
-        rows, *others = known.evaluate(_threads(1, True, True), numbers, lambda at, kind: Region(at, kind.size, True))
+        threads = _threads(1, True, looked_up)
+        rows, *others = known.evaluate(threads, numbers, lambda at, kind: Region(at, kind.size, True))
         kept.append(tuple(others))
         return rows
 
-    jax.eval_shape(results, known.numbers)
-    return kept[0]
+    work = len(known.numbers) * _operations(jax.make_jaxpr(results)(known.numbers).jaxpr)
+    if work > MOST_WORK:
+        raise NotImplementedError(
+            f"Triton takes minutes for {len(known.numbers)} numbers a world in so many operations"
+        )
+    return *kept[0], constants
+
+
+def _operations(jaxpr: Jaxpr) -> int:
+    """How many operations a traced function has, those of loops and branches among them."""
+    inside = (part for eqn in jaxpr.eqns for part in jax.tree.leaves([*eqn.params.values()], is_leaf=_is_traced))
+    return len(jaxpr.eqns) + sum(_operations(getattr(part, "jaxpr", part)) for part in inside if _is_traced(part))
+
+
+def _is_traced(value: Any) -> bool:
+    return isinstance(value, (Jaxpr, ClosedJaxpr))
 
 
 def _stored(dtype: Any) -> Any:
@@ -97,7 +124,8 @@ def _stored(dtype: Any) -> Any:
 
 def _kernel_of_one(*refs: Any, known: Signature, in_place: dict[int, int], worlds: int, interpret: bool) -> None:
     """A block of worlds, each in a thread."""
-    given, out = refs[: len(known.given)], refs[len(known.given) :]
+    given, out = refs[: len(known.given)], refs[len(refs) - len(jax.tree.leaves(known.shapes)) :]
+    known_words = iter(refs[len(given) :])
     world = pl.program_id(0) * THREADS + jnp.arange(THREADS, dtype=jnp.int32)
     numbers: list[Array] = []
     for ref, kind in zip(given, known.given, strict=True):
@@ -105,23 +133,27 @@ def _kernel_of_one(*refs: Any, known: Signature, in_place: dict[int, int], world
             numbers += [ref[row] for row in range(kind.size)]
         elif kind.role == "rows":
             numbers += [gpu.load(ref.at[row * worlds + world]) for row in range(kind.size)]
-    room, shared = PAGE, {}
+    room, regions = PAGE, {}
 
     def memory(place: int, kind: Kind) -> Region:
         nonlocal room
         array = out[in_place[place]] if place in in_place else given[place]
-        if interpret or kind.role == "record" or kind.size > room:
-            return Device(array, world, atomic=kind.role == "record" and not interpret)
-        room, shared[place] = room - kind.size, Shared(place, array, world)
-        return shared[place]
+        if kind.role == "record":
+            regions[place] = Record(array, world, math.prod(kind.shape[1:]))
+        elif interpret or kind.size > room:
+            regions[place] = Device(array, world)
+        else:
+            room, regions[place] = room - kind.size, Shared(place, array, world)
+        return regions[place]
 
-    rows, found, _ = known.evaluate(_threads(1, interpret, True), numbers, memory)
+    threads = _threads(1, interpret, lambda *_: Table(next(known_words)))
+    rows, found, _ = known.evaluate(threads, numbers, memory)
     rest = iter(rows)
     for ref, kind in zip(out, found, strict=True):
         for row in range(0 if kind.stays else kind.size):
             gpu.store(ref.at[row * worlds + world], next(rest).astype(_stored(kind.dtype)))
-    for place in shared.keys() & in_place.keys():
-        shared[place].leave(out[in_place[place]], world)
+    for place in sorted(in_place):
+        regions[place].leave(out[in_place[place]], world)
 
 
 def _shuffled(each: int, interpret: bool, values: Array, index: int) -> Array:
@@ -197,10 +229,11 @@ def _results(known: Signature, lanes: int, interpret: bool) -> Results:
     return jax.jit(lambda numbers: jaxpr_as_fun(fused(jax.make_jaxpr(results)(numbers)))(*numbers))
 
 
-def _threads(lanes: int, interpret: bool, single: bool = False) -> Threads:
+def _threads(lanes: int, interpret: bool, constants: Callable[[int, Words], Region] | None = None) -> Threads:
+    """The threads of a block; with `constants`, which makes memory of known words, of functions of one world."""
     shuffled, summed = (partial(each, power_of_two(lanes), interpret) for each in (_shuffled, _summed))
-    memory = (partial(kind, interpret=interpret) for kind in (Region, Constants))
-    return Threads(lanes, shuffled, summed, _any, *memory, single=single)
+    region, fixed = (partial(kind, interpret=interpret) for kind in (Region, Constants))
+    return Threads(lanes, shuffled, summed, _any, region, constants or fixed, single=constants is not None)
 
 
 class _Stage(NamedTuple):

@@ -24,6 +24,7 @@ MOST = 16_384
 
 Address = Int[Array, " threads"]
 Values = Shaped[Array, " threads"]
+Words = Sequence[np.generic]
 
 
 def assembly(code: str, constraints: str, dtype: Any, *args: Array) -> Array:
@@ -145,8 +146,8 @@ class Shared(Region):
 class Device(Region):
     """Words of an array of the device, (worlds, words); of any number, and for Pallas's interpreter too."""
 
-    def __init__(self, array: Any, world: Address, atomic: bool):
-        self.array, self.world, self.atomic, self.seen, self.address = array, world, atomic, [], None
+    def __init__(self, array: Any, world: Address):
+        self.array, self.world, self.seen, self.address = array, world, [], None
         self.token = jnp.zeros(THREADS, jnp.int32)
 
     def read(self, word: int, place: Address | None, dtype: Any) -> Values:
@@ -155,26 +156,49 @@ class Device(Region):
     def write(self, word: int, place: Address | None, values: Values) -> None:
         gpu.store(self._at(word, place), values.astype(self.array.dtype))
 
-    def add(self, word: int, place: Address | None, changes: Sequence[Values]) -> None:
-        """Add what is not 0; a thread waits for no sum."""
-        for each, change in enumerate(changes, word):
-            if self.atomic:
-                gpu.atomic_add(self.array, self._index(each, place), change, mask=change != 0)
-            else:
-                self.write(each, place, self.read(each, place, change.dtype) + change)
+    def leave(self, array: Any, world: Address) -> None:
+        """Leave the words to an array of the device, in whose place they are."""
 
     def _at(self, word: int, place: Address | None) -> Any:
-        return self.array.at[self._index(word, place)]
+        return self.array.at[self.world, jnp.full(THREADS, word) if place is None else place + word]
 
-    def _index(self, word: int, place: Address | None) -> Any:
-        return self.world, jnp.full(THREADS, word) if place is None else place + word
+
+class Record(Device):
+    """Words of an array of the device that are only added to, by rows.
+
+    Its token is the row that changed last and the sums of it, in registers: an atomic addition of Triton's, or a sum
+    that is loaded and stored in each step, takes several times as long as all else in a step of a table.
+    """
+
+    def __init__(self, array: Any, world: Address, width: int):
+        super().__init__(array, world)
+        first = jnp.zeros(THREADS, jnp.int32)
+        self.token: Any = first, *(gpu.load(self._at(each, first)) for each in range(width))
+
+    def add(self, word: int, place: Address | None, changes: Sequence[Values]) -> None:
+        row, *sums = self.token
+        new = jnp.full(THREADS, word) if place is None else place + word
+        if len(changes) != len(sums):
+            raise NotImplementedError("threads add to whole rows of an array alone")
+        self._put(moved := new != row)
+        sums = [gpu.load(self._at(each, new), mask=moved, other=old) for each, old in enumerate(sums)]
+        self.token = new, *(old + change for old, change in zip(sums, changes, strict=True))
+
+    def leave(self, array: Any, world: Address) -> None:
+        self._put(self.token[0] >= 0)
+
+    def _put(self, mask: Array) -> None:
+        """Store the sums where the mask is true."""
+        row, *sums = self.token
+        for each, values in enumerate(sums):
+            gpu.store(self._at(each, row), values, mask=mask)
 
 
 class Constants(Region):
     """Words that are known while tracing, the same for all threads."""
 
-    def __init__(self, number: int, words: Sequence[np.generic], interpret: bool):
-        if len(words) > MOST:
+    def __init__(self, number: int, words: Words, interpret: bool):
+        if len(words) > MOST and not interpret:
             raise NotImplementedError(f"threads look up at most {MOST} constants")
         numbers, name = [bits(word) for word in words], f"constants{number}_${{:uid}}"
         rows = [jnp.full(THREADS, number, jnp.int32) for number in numbers] if interpret else []
@@ -187,6 +211,20 @@ class Constants(Region):
             return lax.bitcast_convert_type(self.token[self._index(word, place)], dtype)
         place = self.address if place is None else place
         return assembly(f"ld.const.b32 $0, [$1+{4 * word}];", f"={_kind(dtype)},r", dtype, place)
+
+
+class Table(Region):
+    """Words that are known while tracing, the same for all threads, in an array of the device.
+
+    Threads that look up different words there wait for each other less than at memory of constants.
+    """
+
+    def __init__(self, array: Any):
+        self.array, self.seen, self.address, self.token = array, [], None, jnp.int32(0)
+
+    def read(self, word: int, place: Address | None, dtype: Any) -> Values:
+        place = jnp.zeros(THREADS, jnp.int32) if place is None else place
+        return lax.bitcast_convert_type(gpu.load(self.array.at[place + word]), dtype)
 
 
 def bits(number: np.generic) -> int:

@@ -5,7 +5,7 @@ The worlds of one scalar are then contiguous in memory, whatever axes of lanes o
 """
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Any
 
@@ -49,7 +49,7 @@ def _mapped(function: Callable[..., Any], structure: Any, many: tuple[bool, ...]
     def call(*leaves: Any) -> Any:
         if not any(many):
             return function(*structure.unflatten(leaves))
-        if jax.default_backend() in BACK_ENDS and not fallback.given_up():
+        if not fallback.why_none():
             args, (block, call, _) = structure.unflatten(leaves), BACK_ENDS[jax.default_backend()]
             try:
                 if not why_not(function, args, many):
@@ -81,10 +81,8 @@ def _mapped(function: Callable[..., Any], structure: Any, many: tuple[bool, ...]
     return call
 
 
-def kernel_here(function: Callable[..., Any], *args: Any, back_ends: Collection[str]) -> Any:
-    """`kernel(function)(*args)` of a function that uses traced arrays of its surroundings, on these back ends alone."""
-    if jax.default_backend() not in back_ends:
-        return function(*args)
+def kernel_here(function: Callable[..., Any], *args: Any) -> Any:
+    """`kernel(function)(*args)` of a function that uses traced arrays of its surroundings."""
     closed, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
     traced = [isinstance(value, Tracer) for value in closed.consts]
     known = [None if flag else value for flag, value in zip(traced, closed.consts, strict=True)]

@@ -95,7 +95,7 @@ class ChainPhysics(Physics):
             qpos, qvel = jax.lax.scan(cycle, (list(qpos), list(qvel)), length=cycles)[0]
             return jnp.stack(qpos), jnp.stack(qvel)
 
-        qpos, qvel = kernel_here(all_cycles, world.qpos, world.qvel, back_ends=("cpu",))
+        qpos, qvel = kernel_here(all_cycles, world.qpos, world.qvel)
         return freeze_if_diverged(world, world._replace(qpos=qpos, qvel=qvel))
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
