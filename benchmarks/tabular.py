@@ -22,7 +22,6 @@ from timing import Record, Subject, on_devices, record, time_in_turn
 from humanoid_mjx import compute, make_learner, make_task
 from humanoid_mjx.compute import rng
 from humanoid_mjx.learners.tabular import TabularQ
-from humanoid_mjx.training import fused as gpu_kernel
 from humanoid_mjx.training.program import begin
 from humanoid_mjx.training.program import train as by_scan
 from humanoid_mjx.training.programs import TRAIN
@@ -93,8 +92,7 @@ def scan(epsilon: np.ndarray, steps: int) -> Made:
 
 def fused(epsilon: np.ndarray, steps: int) -> Made:
     """This package's learner in one kernel."""
-    by_kernel = jax.vmap(TRAIN, in_axes=(0, 0, None)) if jax.default_backend() == "cpu" else gpu_kernel.advance
-    return _shared_out(own_learner(), epsilon, steps, by_kernel)
+    return _shared_out(own_learner(), epsilon, steps, jax.vmap(TRAIN, in_axes=(0, 0, None)))
 
 
 def _shared_out(

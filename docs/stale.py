@@ -15,7 +15,7 @@ ROOT = Path(__file__).parent.parent
 
 LEARNING = "learners", "training/program.py", "training/programs.py", "tasks/base.py"
 BODIES = *LEARNING, "tasks/continuous.py", "tasks/legged", "physics", "control", "mechanics", "robot", "kernels"
-TABLES = *LEARNING, "tasks/finite.py", "tasks/joint_reach.py", "training/fused.py", "kernels", "compute/rng.py"
+TABLES = *LEARNING, "tasks/finite.py", "tasks/joint_reach.py", "kernels", "compute/rng.py"
 DEPENDS: dict[str, Sequence[str]] = {
     "mutants_*": (),  # of a folder as it was
     "faults": ("runs", "training", "config", "spec.py", "files.py"),

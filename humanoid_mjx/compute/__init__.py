@@ -1,7 +1,7 @@
 """The machine and the process: XLA's options, start, memory and cores, provenance, random numbers."""
 
 from humanoid_mjx.compute.compiles import counting_compiles
-from humanoid_mjx.compute.limits import available_memory, cores, out_of_memory, reserve_memory, why_no_kernel
+from humanoid_mjx.compute.limits import available_memory, cores, out_of_memory, reserve_memory
 from humanoid_mjx.compute.options import XLA_FLAGS, Arithmetic, Options, Program, compiler_options, jitted
 from humanoid_mjx.compute.provenance import commit, machine, made_by, versions
 from humanoid_mjx.compute.settings import POOL_THREADS, check_settings, look_for_garbage_seldom, make_room, start
@@ -27,5 +27,4 @@ __all__ = [
     "reserve_memory",
     "start",
     "versions",
-    "why_no_kernel",
 ]

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import jax
 
-from humanoid_mjx.kernels.fallback import given_up
-
 
 def cores() -> int:
     """Return the number of CPU cores that this process may use.
@@ -72,11 +70,3 @@ def out_of_memory(error: BaseException) -> bool:
     """Return whether an error says that the memory of a device or of the machine does not suffice."""
     exhausted = isinstance(error, jax.errors.JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
     return exhausted or isinstance(error, MemoryError)
-
-
-def why_no_kernel() -> str | None:
-    """Return the reason why kernels that Pallas compiles through Triton do not run here; None where they run."""
-    if jax.default_backend() != "gpu":
-        return "there is no GPU"
-    major = str(getattr(jax.local_devices()[0], "compute_capability", "")).partition(".")[0]
-    return given_up() if major.isdigit() and int(major) >= 8 else "the GPU is not of NVIDIA's Ampere or later ones"

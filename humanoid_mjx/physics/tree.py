@@ -16,11 +16,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import model_validator
 
-from humanoid_mjx import compute
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.control.stages import Stages
-from humanoid_mjx.kernels.fallback import given_up
+from humanoid_mjx.kernels import fallback
 from humanoid_mjx.kernels.worlds import one_kernel, one_world
 from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of, no_contacts
 from humanoid_mjx.mechanics.tree import sensing
@@ -126,7 +125,7 @@ class TreePhysics(MujocoPhysics):
 
     def _unroll(self, controller: Controller, cycles: int) -> int:
         """Time steps in one pass of a loop; one where the controller is long to compile, and on a CPU."""
-        if not _kernels_run() or compute.why_no_kernel() or not self._asks_little(controller):
+        if jax.default_backend() == "cpu" or not _kernels_run() or not self._asks_little(controller):
             return 1
         return cycles if cycles <= WHOLE else UNROLL
 
@@ -167,8 +166,7 @@ class TreePhysics(MujocoPhysics):
 
 def _kernels_run() -> bool:
     """True where a kernel computes time steps: in float32 on a CPU or a GPU."""
-    runs = given_up() is None if jax.default_backend() == "cpu" else compute.why_no_kernel() is None
-    return runs and not jax.config.read("jax_enable_x64")
+    return fallback.why_none() is None and not jax.config.read("jax_enable_x64")
 
 
 def _batched(tree: Any, world: World) -> Any:

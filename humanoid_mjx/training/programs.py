@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import rng
+from humanoid_mjx.kernels import fallback
 from humanoid_mjx.kernels.worlds import kernel, why_not
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import ENVS
@@ -83,16 +84,9 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, by_kernel:
         new = (TRAIN if by_kernel else train)(learner, old, steps)
         return new, progress_of(learner, new)
 
-    def on_gpu(learners: Any, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
-        from humanoid_mjx.training import fused  # whose import takes time that all others save
-
-        new = fused.advance(learners, old, steps)
-        return new, jax.vmap(progress_of)(learners, new)
-
-    steps = on_gpu if by_kernel and jax.default_backend() == "gpu" else jax.vmap(further, in_axes=(0, 0, None))
     return Programs(
         begin=compiled(jax.vmap(anew), by_run, donate_argnums=3),
-        advance=compiled(steps, (by_run, by_run, same), donate_argnums=1),
+        advance=compiled(jax.vmap(further, in_axes=(0, 0, None)), (by_run, by_run, same), donate_argnums=1),
         finish=compiled(jax.vmap(end), by_run),
         by_run=shardings[0],
         everywhere=shardings[1],
@@ -129,15 +123,11 @@ def programs_of(learners: Learner, devices: Devices) -> Programs:
     """
     mesh = Mesh(np.array(devices).reshape(len(devices), -1), (RUNS, ENVS))
     options = compute.compiler_options(learners.task.arithmetic, learners.program, every_device=mesh.size > 1)
-    by_kernel = learners.program == "tabular" and (jax.default_backend() == "cpu" or why_no_kernel(learners) is None)
-    return programs(tuple(sorted(options.items())), mesh, by_kernel)
+    return programs(tuple(sorted(options.items())), mesh, learners.program == "tabular")
 
 
 def why_no_kernel(learner: Any) -> str | None:
-    """Return the reason why XLA makes the training steps of tables, and no kernel; None if a kernel makes them.
-
-    `kernels.worlds.kernel` makes them on a CPU, on a GPU `training.fused`, which keeps sums of the curve in registers.
-    """
+    """Return the reason why XLA makes the training steps of tables, and no kernel; None if a kernel makes them."""
     if not isinstance(learner, TabularQ):
         return "kernels train tables"
     if learner.agents > 1:
@@ -146,10 +136,8 @@ def why_no_kernel(learner: Any) -> str | None:
         return "tables are kept along the way, for evaluation"
     if learner.method == "q_lambda":
         return "each step of q_lambda changes the whole table"
-    if jax.default_backend() != "cpu":
-        from humanoid_mjx.training import fused
-
-        return fused.why_not(learner)
+    if reason := fallback.why_none():
+        return reason
     shapes = learner, jax.eval_shape(begin, learner, rng.key(0))
     args = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *np.shape(x)), jax.typeof(x).dtype), shapes)
     reason = why_not(train, (*args, jax.ShapeDtypeStruct((), np.int32)), (*[True] * len(jax.tree.leaves(args)), False))

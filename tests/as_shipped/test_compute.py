@@ -13,6 +13,7 @@ import pytest
 from humanoid_mjx import compute, make_task
 from humanoid_mjx.compute import options, settings
 from humanoid_mjx.config import load, parse
+from humanoid_mjx.kernels import fallback
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
@@ -160,11 +161,17 @@ def test_this_xla_knows_every_option_and_one_that_it_does_not_know_is_left_out_w
 
 @pytest.mark.parametrize(
     ("backend", "capability", "words"),
-    [("cpu", None, "no GPU"), ("gpu", "9.0", None), ("gpu", "7.5", "Ampere"), ("gpu", None, "Ampere")],
+    [
+        ("cpu", None, None),
+        ("tpu", None, "not for 'tpu'"),
+        ("gpu", "9.0", None),
+        ("gpu", "7.5", "Ampere"),
+        ("gpu", None, "Ampere"),
+    ],
 )
-def test_kernels_are_for_gpus_that_triton_compiles_for(monkeypatch, backend, capability, words):
+def test_kernels_are_for_cpus_and_gpus_that_triton_compiles_for(monkeypatch, backend, capability, words):
     device = SimpleNamespace() if capability is None else SimpleNamespace(compute_capability=capability)
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
     monkeypatch.setattr(jax, "local_devices", lambda: [device])
-    reason = compute.why_no_kernel()
+    reason = fallback.why_none()
     assert reason is None if words is None else words in reason

@@ -7,9 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-from humanoid_mjx import compute
-from humanoid_mjx.compute import limits
 from humanoid_mjx.config import load
+from humanoid_mjx.kernels import fallback
 from humanoid_mjx.kernels.worlds import one_kernel
 from humanoid_mjx.physics import tree
 from humanoid_mjx.training.cost import training_bytes
@@ -18,7 +17,7 @@ from humanoid_mjx.training.programs import programs, programs_of
 
 SMALL = ["learner.envs=64", "learner.evaluation_envs=64", "learner.minibatches=4", "total_steps=100000"]
 CONFIGS = {"joint1": ["seeds=2", "episodes=10"], "leg_reach": ["seeds=2", *SMALL], "walk": ["seeds=2", *SMALL]}
-KERNELS = {"joint1": {"advance"}, "leg_reach": set(), "walk": {"advance", "finish"}}
+KERNELS = {"joint1": {"advance"}, "leg_reach": {"advance", "finish"}, "walk": {"advance", "finish"}}
 """Programs that hold a kernel of Triton."""
 
 GPU_INFO = "jax._src.pallas.triton.gpu_info"
@@ -43,8 +42,7 @@ def _forget():
 def test_a_training_is_lowered_for_two_gpus(config, monkeypatch):
     """Planning traces a training alone, the programs trace it again under the mesh of the devices."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    for module in (limits, compute):
-        monkeypatch.setattr(module, "why_no_kernel", lambda: None)
+    monkeypatch.setattr(fallback, "why_none", lambda: None)
     if find_spec(GPU_INFO):
         monkeypatch.setattr(import_module(GPU_INFO), "get_device_kind", lambda: "NVIDIA H100 80GB HBM3")
     assert tree._kernels_run()

@@ -1,5 +1,4 @@
-"""Kernels that train tables equal the scan: a CPU's, and both of a GPU in Pallas's interpreter, with tables in its
-memory.
+"""Kernels that train tables equal the scan: a CPU's, and a GPU's in Pallas's interpreter, with tables in its memory.
 
 `as_shipped/test_tables.py` compares a CPU's for any hyper-parameters, with the settings that users have.
 """
@@ -12,20 +11,18 @@ import numpy as np
 import pytest
 from finite_mdp import random_task
 
-from humanoid_mjx import compute, make_learner, make_task
+from humanoid_mjx import make_learner, make_task
 from humanoid_mjx.compute import rng
 from humanoid_mjx.kernels import fallback, gpu_kernel
-from humanoid_mjx.kernels.elementwise import NotElementwise
 from humanoid_mjx.kernels.memory import THREADS
 from humanoid_mjx.kernels.signature import called, signature_of_one
 from humanoid_mjx.kernels.worlds import kernel, why_not
-from humanoid_mjx.tasks.finite import FiniteTask
-from humanoid_mjx.training import fused, program
+from humanoid_mjx.training import program
 from humanoid_mjx.training.program import begin, train
 from humanoid_mjx.training.programs import TRAIN, why_no_kernel
 
-RUNS, BLOCK = 6, 4
-"""Fewer than a vector or a warp has, and no multiple of a block of `fused`."""
+RUNS = 6
+"""Fewer than a vector or a warp has."""
 
 TASKS = {
     "standard": {"name": "joint_reach", "joint": 5, "states": 5, "action": 15.0},
@@ -60,16 +57,15 @@ def interpreted(*args):
     return called(signature_of_one(train, args, many), args, THREADS, partial(gpu_kernel.call, interpret=True))
 
 
-SCAN = jax.vmap(train, in_axes=(0, 0, None))
-KERNELS = {
-    "cpu": jax.vmap(TRAIN, in_axes=(0, 0, None)),
-    "gpu": interpreted,
-    "fused": partial(fused.advance, block=BLOCK, interpret=True),
-}
+OWN = [{"method": method, "decay": "step"} for method in ("double_q", "expected_sarsa", "sarsa", "n_step")]
+OWN += [{"step_size": "visits"}, {"exploration": "boltzmann"}, {"exploration": "ucb"}]
+"""Methods, beside plain Q-learning."""
 
+SCAN = jax.vmap(train, in_axes=(0, 0, None))
+KERNELS = {"cpu": jax.vmap(TRAIN, in_axes=(0, 0, None)), "gpu": interpreted}
 
 CASES = [(case, back_end, {}) for case in TASKS for back_end in KERNELS]
-CASES += [("grid", "fused", {"method": method, "decay": "step"}) for method in ("double_q", "expected_sarsa")]
+CASES += [("grid", "gpu", own) for own in OWN]
 
 
 @pytest.mark.parametrize(("case", "back_end", "own"), CASES)
@@ -158,42 +154,6 @@ def test_the_scan_trains_what_the_kernel_of_a_gpu_cannot(values, words, monkeypa
     assert words in why_no_kernel(make_learner("tabular_q", make_task("joint_reach"), **values))
 
 
-@pytest.mark.parametrize("own", [{"method": "sarsa"}, {"step_size": "visits"}, {"exploration": "boltzmann"}])
-def test_methods_that_the_kernel_of_a_gpu_lacks(own, monkeypatch):
-    monkeypatch.setattr(compute, "why_no_kernel", lambda: None)
-    assert "no counts of visits" in str(fused.why_not(make_learner("tabular_q", make_task("joint_reach"), **own)))
-
-
-def test_without_a_gpu_its_kernel_trains_nothing():
-    assert "no GPU" in str(fused.why_not(make_learner("tabular_q", make_task("joint_reach"))))
-
-
 def test_without_a_gpu_of_nvidia_xla_trains(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "rocm")
-    assert why_no_kernel(make_learner("tabular_q", make_task("joint_reach"))) == "there is no GPU"
-
-
-class Guess(FiniteTask):
-    """A coin falls, and the guess was right or not."""
-
-    @property
-    def num_states(self):
-        return 1
-
-    @property
-    def num_actions(self):
-        return 2
-
-    def reset(self, key):
-        return jnp.int32(0)
-
-    def step(self, state, action, key):
-        right = jax.random.bernoulli(key) == (action == 1)
-        return state, jnp.where(right, 1.0, 0.0), jnp.bool_(True)
-
-
-@pytest.mark.parametrize(("task", "words"), [(random_task(0, 4, 2, 4), "tables"), (Guess(), "operation")])
-def test_tasks_of_more_than_arithmetic_are_refused(task, words):
-    learner = make_learner("tabular_q", task)
-    with pytest.raises(NotElementwise, match=words):
-        fused.functions(learner)
+    assert "not for 'rocm'" in why_no_kernel(make_learner("tabular_q", make_task("joint_reach")))
