@@ -61,7 +61,7 @@ def _successes(
     from humanoid_mjx.evaluation.evaluate import evaluate_all
     from humanoid_mjx.evaluation.policy import find_policy, in_worlds, played_by
 
-    policies = [find_policy(name, point) for name in names]
+    policies = [find_policy(name, point, overrides) for name in names]
     if len({policy.name for policy in policies}) < len(policies):
         policies = [policy._replace(name=name) for name, policy in zip(names, policies, strict=True)]
     policies = in_worlds(policies, worlds, overrides)
@@ -85,7 +85,7 @@ def _gaits(
     from humanoid_mjx.report.gaits import gait_table, meanings, remarks
 
     settings = settings_of(overrides)
-    policies = in_worlds(trained_seeds(names, point), worlds, settings)
+    policies = in_worlds(trained_seeds(names, point, overrides), worlds, settings)
     with Bar(console) as bar:
         bar.phase("compiling and walking")
         measured = measure(policies, episodes, bar.count)

@@ -100,7 +100,7 @@ def _show(
 
     with Bar(console) as bar:
         bar.phase("loading")
-        live = Live(in_world(find_policy(policy, point), physics, changes), episode, robots)
+        live = Live(in_world(find_policy(policy, point, changes), physics, changes), episode, robots)
     live.told |= told
     with suppress(KeyboardInterrupt):
         serve(live, console.print, port=port or 0)

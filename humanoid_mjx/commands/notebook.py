@@ -158,7 +158,7 @@ def _policy(what: Any, point: int | None, physics: str | None, overrides: Sequen
     what = what.policy if isinstance(what, Trained) else what.path if isinstance(what, Run) else what
     if isinstance(what, Policy):
         what = with_config(what.learner, what.weights)
-    return in_world(what if isinstance(what, StoredPolicy) else find_policy(what, point), physics, overrides)
+    return in_world(what if isinstance(what, StoredPolicy) else find_policy(what, point, overrides), physics, overrides)
 
 
 def _folder(what: object) -> Path:

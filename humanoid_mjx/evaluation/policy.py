@@ -121,9 +121,11 @@ def _plain(x: Any) -> Any:
     return [_plain(each) for each in x] if x.ndim else float(str(x[()])) if x.dtype.kind == "f" else x.item()
 
 
-def find_policy(name: Path | str, point: int | None = None) -> StoredPolicy:
+def find_policy(name: Path | str, point: int | None = None, overrides: Sequence[str] = ()) -> StoredPolicy:
     """The best policy of a run folder, or of one point of its sweep; that of a file; the shipped one of this name; or
     none but the servo of the robot of this name or YAML (`evaluation.rest`).
+
+    `overrides`: those of `in_world`; a robot that they name is taken as it is now.
 
     Raises:
       InputError: there is nothing of the kind, or it cannot be read; `point` is given for what is no run folder.
@@ -133,7 +135,7 @@ def find_policy(name: Path | str, point: int | None = None) -> StoredPolicy:
     name = str(name)
     path, shipped = Path(name), folder("policies") / f"{name}.npz"
     if path.is_dir():
-        return policies_of_best(path, point, most=1)[0]
+        return policies_of_best(path, point, most=1, overrides=overrides)[0]
     if point is None and (name in ROBOTS or name in names("robots", ".yaml") or kind_of(path) == "robot"):
         return at_rest(name)
     file = path if path.exists() or path.suffix == ".npz" or path.name != name else shipped
@@ -142,7 +144,7 @@ def find_policy(name: Path | str, point: int | None = None) -> StoredPolicy:
         raise InputError(f"{name}: neither a run folder nor a policy{instead}.")
     if point is not None:
         raise InputError(f"--point: {name} is no run folder, and only a sweep has points.")
-    return read_policy(file)
+    return read_policy(file, overrides)
 
 
 def at_rest(robot: str) -> StoredPolicy:
@@ -161,7 +163,9 @@ def at_rest(robot: str) -> StoredPolicy:
     return StoredPolicy(group.learner(), policy, 0, 0, config.name, config, {"scores": {}, "provenance": {}})
 
 
-def policies_of_best(path: Path, point: int | None = None, most: int | None = None) -> list[StoredPolicy]:
+def policies_of_best(
+    path: Path, point: int | None = None, most: int | None = None, overrides: Sequence[str] = ()
+) -> list[StoredPolicy]:
     """The runs of a run folder's best point (`runs.ranking`), or of the point of this number, one for each training
     seed that is finished: all, or so many at most. First comes the most often successful, among equals the quickest or
     that of the highest return.
@@ -169,7 +173,7 @@ def policies_of_best(path: Path, point: int | None = None, most: int | None = No
     Raises:
       InputError: this is no run folder, nothing in it or of the point is finished, or its files are damaged.
     """
-    data = read_config(path)
+    data = _as_now(read_config(path), overrides)
     config = parse(data, str(path / "config.yaml"))
     points, quickest = points_of(config), config.episodes is not None
     arrays = finished_runs(path, ("point", "seed", "policy", *(f"curve.{name}" for name in WHOLE), "final."))
@@ -209,7 +213,7 @@ def save_policy(trained: StoredPolicy, path: Path) -> None:
         np.savez_compressed(file, allow_pickle=False, header=text, **to_arrays(trained.policy, "policy"))
 
 
-def read_policy(path: Path) -> StoredPolicy:
+def read_policy(path: Path, overrides: Sequence[str] = ()) -> StoredPolicy:
     """Read a policy file.
 
     Raises:
@@ -232,7 +236,7 @@ def read_policy(path: Path) -> StoredPolicy:
     except pydantic.ValidationError as error:
         words = sentence(error, "header", _Header).rstrip(".")
         raise InputError(f"{path}: {words}; export it again from its run.") from error
-    parsed = parse(header.config, str(path))
+    parsed = parse(_as_now(header.config, overrides), str(path))
     if parsed.sweep:
         raise InputError(f"{path}: its config has a sweep, and a policy has one point.")
     (group,) = make_plan(parsed).groups
@@ -244,6 +248,15 @@ def read_policy(path: Path) -> StoredPolicy:
         raise InputError(f"{path}: {more[0]}: a policy has no such array; export it again from its run.")
     origin = header.origin.model_dump()
     return StoredPolicy(group.learner(), policy, header.point, header.seed, header.name, parsed, origin)
+
+
+def _as_now(config: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """The data of a config, without the digest of its robot's files where an override names the same robot."""
+    task = config.get("task")
+    robot = task.get("robot") if isinstance(task, dict) else None
+    if isinstance(robot, dict) and f"task.robot={robot.get('name')}" in overrides:
+        robot.pop("content", None)
+    return config
 
 
 def in_world(trained: StoredPolicy, physics: str | None, overrides: Sequence[str] = ()) -> StoredPolicy:

@@ -212,7 +212,8 @@ def make_declared(name: str, **values: Any) -> Declared:
     source = _read(path)
     asked = values.get("content") or source.values["content"]
     if asked != source.values["content"]:
-        raise InputError(f"robot: {name} has changed since this run; --set task.robot={name} takes it as it is now.")
+        now = f"sweep, play and evaluate take it as it is now by --set task.robot={name}"
+        raise InputError(f"robot: {name} has changed since this run, its YAML or a file of its model; {now}.")
     try:
         return Declared.model_validate(source.values | values | {"name": name if is_shipped(name) else str(path)})
     except pydantic.ValidationError as error:

@@ -17,6 +17,7 @@ from humanoid_mjx import InputError, make_task
 from humanoid_mjx.commands import console
 from humanoid_mjx.commands.info import show_info, show_keys, show_model
 from humanoid_mjx.config import load
+from humanoid_mjx.evaluation.policy import at_rest, find_policy, in_world, save_policy
 from humanoid_mjx.files import folder
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.declared import Declaration
@@ -246,6 +247,21 @@ def test_a_run_finds_its_robot_again_and_takes_no_other(tmp_path, monkeypatch):
         with pytest.raises(InputError, match="has changed since this run"):
             make_robot(robot["name"], content=robot["content"])
         assert make_robot(robot["name"]).mass == pytest.approx(12.82)
+
+
+def test_a_policy_is_played_on_its_robot_as_it_is_now_where_that_is_asked_for(tmp_path):
+    """By what the error says to type."""
+    name = files(tmp_path)
+    file = tmp_path / "rest.npz"
+    save_policy(at_rest(name), file)
+    (tmp_path / "dog.xml").write_text((tmp_path / "dog.xml").read_text().replace('mass="5.2"', 'mass="5.3"'))
+    with pytest.raises(InputError, match="has changed since this run, its YAML or a file of its model") as error:
+        find_policy(file)
+    asked = re.search(r"--set (task\.robot=.*)\.$", str(error.value))[1]
+    with pytest.raises(InputError, match="has changed"):
+        find_policy(file, overrides=["task.friction=0.5"])
+    found = in_world(find_policy(file, overrides=[asked]), None, [asked])
+    assert found.learner.task.robot.mass == pytest.approx(12.82)
 
 
 def test_a_robot_is_all_files_that_its_model_reads(tmp_path):

@@ -33,7 +33,7 @@ class Measured(NamedTuple):
         return {"policies": policies, "beyond_training": self.beyond, "gaits": gaits}
 
 
-def trained_seeds(names: Sequence[str], point: int | None = None) -> list[StoredPolicy]:
+def trained_seeds(names: Sequence[str], point: int | None = None, overrides: Sequence[str] = ()) -> list[StoredPolicy]:
     """All runs of the best point of each run folder named, or of the point of this number, and the policies that are
     named themselves.
 
@@ -42,7 +42,10 @@ def trained_seeds(names: Sequence[str], point: int | None = None) -> list[Stored
     """
     found: list[StoredPolicy] = []
     for name in names:
-        found += policies_of_best(Path(name), point) if Path(name).is_dir() else [find_policy(name, point)]
+        if (path := Path(name)).is_dir():
+            found += policies_of_best(path, point, overrides=overrides)
+        else:
+            found.append(find_policy(name, point, overrides))
     for policy in found:
         walking_task(policy.learner.task)
     return found
