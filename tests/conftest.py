@@ -107,7 +107,6 @@ LONGEST = (
         "verdicts",
         "several_gpus",
         "leg_experiments",
-        "posture_switch",
         "kept",
         "slurm",
     ),

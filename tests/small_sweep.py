@@ -35,7 +35,7 @@ SWITCHING = {
     "seeds": 2,
     "episodes": 50,
 }
-"""A sweep that learns to switch postures; two files train it, and the second finds its programs compiled."""
+"""A sweep that learns to switch postures."""
 
 
 def run_cli(*arguments, cwd, devices="2", **kwargs):

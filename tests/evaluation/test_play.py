@@ -18,7 +18,7 @@ from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.posture_switch import LEFT_SIGN
 from humanoid_mjx.training.progress import Reporter
-from humanoid_mjx.training.sweep import sweep
+from humanoid_mjx.training.sweep import Run, sweep
 
 reset = jax.jit(lambda task, key: task.reset(key))
 step = jax.jit(lambda task, *args: task.step(*args))
@@ -39,6 +39,12 @@ def small(monkeypatch):
     """Frames of a few rays: what they look like is test_rendering.py's."""
     monkeypatch.setattr("humanoid_mjx.report.rendering.WIDTH", 64)
     monkeypatch.setattr("humanoid_mjx.report.rendering.HEIGHT", 48)
+
+
+def test_a_sweep_learns_to_switch(switched):
+    summary = Run(switched).summary
+    assert summary["greedy_success"].mean() == 1.0
+    assert summary["greedy_steps"].max() < 20
 
 
 def test_a_motion_is_that_of_the_task(switched):
