@@ -106,7 +106,7 @@ def time_rates(bench: str, subjects: Mapping[str, Subject], say: Callable[[str],
     records = []
     for key, timing in time_in_turn(subjects).items():
         subject = subjects[key]
-        if any(np.isfinite(leaf).mean() < SOUND for leaf in jax.tree.leaves(timing.result)):
+        if any(leaf.size and np.isfinite(leaf).mean() < SOUND for leaf in jax.tree.leaves(timing.result)):
             raise FloatingPointError(f"{key}: the simulation diverged.")
         records.append(record(bench, key, subject, timing, subject.unit))
         say(f"{key:30} {subject.batch:9,} {of}  {records[-1].value:10.3e} {subject.unit:23}"
