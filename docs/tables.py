@@ -310,14 +310,16 @@ def public_robots() -> str:
         name, gait, seeds = row["robot"], row["gait"], [each["greedy_success"] for each in row["seeds"]]
         own = [rounded(100 * row["unmodified"][f"{name}{where}, greedy"][0], 0) for where in ("", ", unmodified")]
         ahead = [each for words, each in gait.items() if words.startswith("forward ")][:-1]  # the last one is too fast
-        going = ", ".join(f"{rounded(each['moves'][0])} of {rounded(each['told'][0])}" for each in ahead)
+        going = ", ".join(f"{each['moves'][0]:z.2f} of {each['told'][0]:.2f}" for each in ahead)
         turn = gait["turn +1.0"]["moves"][2]
         worst = [rounded(100 * gait[words]["upright"][1], 0) for words in ("stand", "sudden turn")]
         worst.insert(1, rounded(100 * min(each["upright"][1] for each in ahead), 0))
         all_seeds = f"{rounded(100 * min(seeds), 0)} to {rounded(100 * max(seeds), 0)}"
-        words = " ".join(["`" + row["config"], *(f"--set {each}`" for each in row["set"][2:])]).rstrip("`") + "`"
-        cells = card.upper(), rounded(row["command_s"], 0), all_seeds, going, rounded(turn), *worst, *own
-        rows.append((f"`{name}`", words, *cells))
+        words = "`" + " ".join([row["config"], *(f"--set {each}" for each in row["set"][2:])]) + "`"
+        seconds = rounded(row["command_s"], 0) if row["command_s"] else ""
+        own_card = row["machine"]["device"].split()[1] if "machine" in row else card.upper()
+        cells = own_card, seconds, all_seeds, going, rounded(turn), *worst, *own
+        rows.append((", ".join([f"`{name}`", *filter(None, [row.get("gains")])]), words, *cells))
     moves, falls = "goes, m/s | turns, of 1 rad/s", "worst seed upright, %: standing | ahead | sudden turns"
     own = "best, `mujoco`, % | `unmodified`, %"
     return table(f"robot | config | card | s | upright, five seeds, % | {moves} | {falls} | {own}", rows)
