@@ -86,15 +86,20 @@ def plot(
         str | None,
         Option("--by", metavar="COLUMN", help="A line for each value; run: for each run. By default the swept key."),
     ] = None,
-    out: Annotated[Path | None, Option(metavar="FILE.png", help="By default in the first run's figures.")] = None,
+    out: Annotated[
+        Path | None,
+        Option(metavar="FILE.png", help="By default in the first run's figures. For learned also a .gif: a film."),
+    ] = None,
 ) -> None:
     """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds."""
     from humanoid_mjx.report import plotting
     from humanoid_mjx.spec import InputError, check_folder
 
     if out is not None:
-        if out.suffix != ".png":
-            raise InputError(f"--out {out}: the file must end in .png.")
+        films = (".gif", ".mp4", ".webm") if y == plotting.LEARNED else ()
+        if out.suffix not in (".png", *films):
+            also = f", or {', '.join(films)} for a film of the training" if films else ""
+            raise InputError(f"--out {out}: the file must end in .png{also}.")
         check_folder(out, "--out")
     target, notes = plotting.plot(run, x, y, by, out)
     for note in notes:

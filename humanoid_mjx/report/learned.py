@@ -14,14 +14,16 @@ from humanoid_mjx.compute import compiler_options
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.report.figures import Figure, side_by_side
-from humanoid_mjx.report.style import COLORS, SEQUENTIAL, label_lines, log_axis, shades
+from humanoid_mjx.report.rendering import CODECS, Frame, check_file, write_frames
+from humanoid_mjx.report.style import COLORS, SEQUENTIAL, figure, label_lines, log_axis, shades
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.navigate import MOVES, Navigate, next_cells
 from humanoid_mjx.training.program import run_key
 from humanoid_mjx.types import IntScalar
 
-STAGES, MOST_MOVES = 5, 1_000_000
-"""Number of tables drawn of a training, and the moves of the longest training that is repeated for them."""
+STAGES, FRAMES, MOST_MOVES = 5, 40, 1_000_000
+"""Numbers of tables drawn of a training in a figure and in a film, and the moves of the longest training that is
+repeated for them."""
 
 
 class Stages(NamedTuple):
@@ -41,14 +43,14 @@ class Stages(NamedTuple):
         return np.where(self.visits[..., None] > 0, self.tables, np.nan)
 
 
-def learned(path: Path) -> tuple[str, list[Figure]]:
-    """Return sentences and figures on the table of a run folder's best run.
+def learned(path: Path, film: bool = False) -> tuple[str, list[Figure]]:
+    """Return sentences and figures on the table of a run folder's best run; of a film the frames alone.
 
     Raises:
       InputError: this is no run folder, nothing in it is finished, or its learner has no table.
     """
     trained = find_policy(str(path))
-    task, stages = trained.learner.task, repeated(trained)
+    task, stages = trained.learner.task, repeated(trained, FRAMES if film else STAGES)
     words = f"The table of the best run, point {trained.point} with seed {trained.seed}; white: never visited."
     if stages is None:
         words = words.replace("white: never visited", "its training cannot be repeated here, so its end alone is shown")
@@ -56,12 +58,14 @@ def learned(path: Path) -> tuple[str, list[Figure]]:
         stages = Stages(*(np.asarray(x)[None] for x in end))
     if isinstance(task, Navigate):
         words += " Colour: value of the best move. Arrows: the best move. Orange: the way that these lead."
-        return words, _rooms(task.map, stages)
+        return words, _rooms(task.map, stages)[: len(stages.words) if film else None]
+    if film:
+        return f"{words} Dots: the best action.", [_table(stages, at, each) for at, each in enumerate(stages.words)]
     return f"{words} Dots: the best action. The value of a state is that of its best action.", _tables(stages)
 
 
-def repeated(trained: StoredPolicy) -> Stages | None:
-    """Train the table of a run again and keep what it knew after some numbers of episodes.
+def repeated(trained: StoredPolicy, count: int = STAGES) -> Stages | None:
+    """Train the table of a run again and keep what it knew after so many numbers of episodes.
 
     None where this does not end in the same table: the run is longer than `MOST_MOVES`, started from another, or was
     trained on another kind of device.
@@ -70,7 +74,7 @@ def repeated(trained: StoredPolicy) -> Stages | None:
     if not isinstance(learner, TabularQ):
         no = f"{trained.config.learner['name']} has no table to draw"
         raise InputError(f"{trained.name}: {no}; choose a run of tabular_q, or a column such as --y return.")
-    episodes = np.unique(np.rint(np.geomspace(1, int(learner.episodes), STAGES)).astype(np.int32))
+    episodes = np.unique(np.rint(np.geomspace(1, int(learner.episodes), count)).astype(np.int32))
     options = compiler_options(learner.task.arithmetic, learner.program)
     train = jax.jit(jax.vmap(_train, (None, None, 0)), compiler_options=options)
     found = train(learner, run_key(jnp.uint32(trained.config.seed), jnp.uint32(trained.seed)), episodes)
@@ -96,7 +100,16 @@ def _train(learner: TabularQ, key: Key[Array, ""], episodes: IntScalar) -> tuple
 
 
 def draw_learned(path: Path, out: Path | None) -> tuple[Path, list[str]]:
-    """Draw the table of a run folder's best run: the file, and sentences on it. Raises as `learned`."""
+    """Draw the table of a run folder's best run, as a film where the file is one: the file, and sentences on it.
+
+    Raises:
+      InputError: as `learned`, or the film cannot be written.
+    """
+    if out and out.suffix in (".gif", *CODECS):
+        check_file(out)
+        words, figures = learned(path, film=True)
+        write_frames(map(partial(_frame, path.resolve().name), figures), out, fps=4.0)
+        return out, [words]
     words, figures = learned(path)
     target, curves = out or path / "figures" / "learned.png", cast(Any, None)
     with side_by_side(target, [each.title for each in figures], path.resolve().name) as panels:
@@ -105,24 +118,40 @@ def draw_learned(path: Path, out: Path | None) -> tuple[Path, list[str]]:
     return target, [words]
 
 
+def _frame(heading: str, each: Figure) -> Frame:
+    """A frame of a film."""
+    with figure(None, 1, 1, (5.2, 4.0), heading) as (fig, panels):
+        panels[0, 0].set_title(each.title)
+        each.draw(panels[0, 0], cast(Any, None), None)
+        fig.canvas.draw()
+        return np.array(fig.canvas.buffer_rgba())[..., :3]
+
+
 def best(table: Float[np.ndarray, "states actions"]) -> Bool[np.ndarray, "states actions"]:
     """True for the best action of a state, where no other is as good."""
     found = table == table.max(axis=1, keepdims=True)
     return found & (found.sum(axis=1, keepdims=True) == 1)
 
 
-def _tables(stages: Stages) -> list[Figure]:
-    """The whole of any table, then lines of values and visits by state."""
+def _table(stages: Stages, stage: int, title: str) -> Figure:
+    """The whole of any table."""
+    known, table = stages.known[-1], stages.known[stage]
+    look = {"vmin": np.nanmin(known), "vmax": np.nanmax(known), "cmap": SEQUENTIAL}
 
     def whole(panel: Any, *_: Any) -> dict[str, float]:
-        table = stages.known[-1]
-        panel.figure.colorbar(panel.imshow(table.T, aspect="auto", origin="lower", cmap=SEQUENTIAL), ax=panel)
+        panel.figure.colorbar(panel.imshow(table.T, aspect="auto", origin="lower", **look), ax=panel)
         size = float(np.clip(150 / len(table), 0.5, 5))
         panel.plot(*np.nonzero(best(table)), "o", color="white", markeredgecolor="black", markersize=size)
         panel.set_yticks(range(0, table.shape[1], 1 + table.shape[1] // 12))
         panel.set(xlabel="state", ylabel="action")
         panel.grid(False)
         return {}
+
+    return Figure(title, (), whole)
+
+
+def _tables(stages: Stages) -> list[Figure]:
+    """The whole of any table, then lines of values and visits by state."""
 
     def lines(rows: np.ndarray, panel: Any, *_: Any) -> dict[str, float]:
         for row, words, color in zip(rows, stages.words, shades(len(rows)), strict=True):
@@ -136,7 +165,7 @@ def _tables(stages: Stages) -> list[Figure]:
     visits = np.where(stages.visits > 0, stages.visits, np.nan)
     by_state = {"value of each state": stages.known.max(axis=2), "visits: moves made in each state": visits}
     along = [Figure(title, (), partial(lines, rows)) for title, rows in by_state.items()]
-    return [Figure("the table at the end", (), whole), *(along if len(stages.episodes) > 1 else [])]
+    return [_table(stages, -1, "the table at the end"), *(along if len(stages.episodes) > 1 else [])]
 
 
 def _rooms(grid: tuple[str, ...], stages: Stages) -> list[Figure]:

@@ -46,7 +46,7 @@ DRAWING = threading.RLock()
 
 @contextmanager
 def figure(
-    path: Path | io.BytesIO,
+    path: Path | io.BytesIO | None,
     rows: int,
     columns: int,
     size: tuple[float, float] = (4.2, 3.0),
@@ -55,8 +55,8 @@ def figure(
 ) -> Iterator[Any]:
     """A grid of axes, (rows, columns), under a heading, saved to `path` at the end; `size` is of one, in inches.
 
-    One thread draws at a time. A figure saved in memory is SVG without a background, its letters drawn as paths; its
-    bytes are the same each time.
+    One thread draws at a time. Without a path nothing is saved. A figure saved in memory is SVG without a background,
+    its letters drawn as paths; its bytes are the same each time.
     """
     with DRAWING, plt.rc_context(_RC):  # pyright: ignore[reportArgumentType]
         fig, axes = plt.subplots(
@@ -70,7 +70,7 @@ def figure(
                 path.parent.mkdir(exist_ok=True)  # not those above: a run folder that is gone stays so
                 with whole_file(path) as temporary:
                     fig.savefig(temporary)
-            else:
+            elif path:
                 fig.savefig(path, format="svg", metadata={"Date": None}, transparent=True)
         finally:
             plt.close(fig)

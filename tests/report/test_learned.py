@@ -6,11 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from command_line import told
+from PIL import Image
 from small_sweep import CONFIG
 
 from humanoid_mjx import InputError, sweep, train
 from humanoid_mjx.evaluation.policy import find_policy
-from humanoid_mjx.report.learned import best, greedy_way, learned, repeated
+from humanoid_mjx.report.learned import FRAMES, best, greedy_way, learned, repeated
 from humanoid_mjx.report.page import run_page
 from humanoid_mjx.tasks.navigate import shortest_path
 from humanoid_mjx.training.program import run_key
@@ -76,6 +77,16 @@ def test_only_an_action_that_is_better_than_all_others_is_best():
 def test_plot_and_report_draw_it(room, tmp_path):
     out = tmp_path / "x.png"
     assert "Arrows: the best move." in told("plot", room, "--y", "learned", "--out", out) and out.stat().st_size
+    film = tmp_path / "x.gif"
+    told("plot", room, "--y", "learned", "--out", film)
+    with Image.open(film) as frames:
+        assert 10 < frames.n_frames <= FRAMES and frames.size[0] > 300
+    with pytest.raises(InputError, match=r"must end in \.png, or \.gif, \.mp4, \.webm for a film of the training"):
+        told("plot", room, "--y", "learned", "--out", tmp_path / "x.pdf")
+    with pytest.raises(InputError, match=r"x\.gif: the file must end in \.png\.$"):
+        told("plot", room, "--out", film)
+    with pytest.raises(InputError, match="no"):
+        told("plot", room, "--y", "learned", "--out", tmp_path / "no" / "x.gif")
     html = run_page(room, Reporter(), motion=False)
     assert "What was learned" in html and "Visits: moves made in each cell" in html
 
