@@ -217,12 +217,13 @@ class Window:
 
     def _frame(self) -> dict[str, Any]:
         live, bodies, views = self.live, self.live.stage.bodies, self.views()
-        frame: dict[str, Any] = {"shapes": [], "torsos": [], "forces": [], "pushes": [], "ahead": []}
+        frame: dict[str, Any] = {"shapes": [], "torsos": [], "forces": [], "pushes": [], "ahead": [], "centres": []}
         pressing = [body.pressing() if live.touchable else {} for body in bodies]
         for body, view, pressed in zip(bodies, views, pressing, strict=True):
             places, turns = posed(self.model, body.data, self.scene.shown)
             shown = {
                 "torsos": view.at(body.data.xpos[1]),
+                "centres": view.at(body.data.subtree_com[1]),
                 "pushes": None if body.shoved is None else view.turn @ body.shoved,
                 "ahead": view.turn[:2, :2] @ body.ahead,
             }

@@ -500,7 +500,7 @@
       const go = [...keys("forward", "W", "S"), ...keys("left", "A", "D")], turn = keys("turn", "Q", "E");
       const hints = [go.length && `${go.join(" ")} or arrows: go.`, turn.length && `${turn.join(" ")}: turn.`,
         drives && "Shift: faster. Space: stand.", touch && "Drag the robot: pull it.", data.live.scales.push && "X: push.",
-        "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: restart, all as at first. N: next episode."];
+        "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: restart, all as at first. N: next episode. M: centre of mass."];
       this.panel = make("div", { className: "panel" });
       this.sliders = {};
       for (const [name, [low, high]] of Object.entries(data.live.ranges))
@@ -510,7 +510,7 @@
       for (const [name, [low, high, now, words]] of Object.entries(data.live.scales))
         this.slider(words, low, high, name in world ? world[name] : now, (value) => { if (name !== "push") this.send({ [name]: value }); }, name);
       const buttons = [this.paused, button("Restart", () => this.restart()),
-        button("Next episode", () => this.send({ episode: 1 })), this.recorded];
+        button("Next episode", () => this.send({ episode: 1 })), button("Centre of mass", () => this.weigh()), this.recorded];
       this.build(buttons, [0.1, 0.25, 0.5, 1], (pace) => this.send({ pace }), hints.filter(Boolean).join(" "), this.panel);
       const told = this.words;
       this.words = make("strong");
@@ -620,7 +620,7 @@
         this.steer();
       } else if (down && !event.repeat)
         this.key(event, { " ": () => this.stand(), p: () => this.pause(), r: () => this.restart(),
-          n: () => this.send({ episode: 1 }), x: () => this.push() });
+          n: () => this.send({ episode: 1 }), m: () => this.weigh(), x: () => this.push() });
     }
     steer() {
       const shares = {}, size = this.fast ? 1 : 0.6;
@@ -657,6 +657,7 @@
     }
     scrolls() { return true; }
     push() { if (this.sliders.push) this.send({ push: Number(this.sliders.push.input.value) }); }
+    weigh() { this.weighed = !this.weighed; this.draw(); }
     pause() { this.send({ paused: !this.latest.paused }); this.latest.paused = !this.latest.paused; this.draw(); }
 
     hold(event) {
@@ -692,7 +693,7 @@
     }
 
     pose() {
-      const { shapes, torsos, ground, forces, pushes, ahead } = this.latest;
+      const { shapes, torsos, ground, forces, pushes, ahead, centres } = this.latest;
       const most = Math.max(...forces.map((f) => Math.hypot(f[3], f[4], f[5])), this.most || 1);
       this.most = most;
       const arrows = forces.map((f) => ({ from: f.slice(0, 3), color: LOAD,
@@ -702,6 +703,7 @@
       }
       const [forward, left] = ["forward, m/s", "left, m/s"].map((name) => (this.told[name] || 0) / this.fastest);
       const on = (a, b) => [a, b, this.height(ground, a, b)], size = 1.5 * this.data.arrow;
+      if (this.weighed) for (const at of centres) arrows.push({ from: at, to: on(at[0], at[1]), color: "#2f4b7c", words: "centre of mass" });
       torsos.forEach((torso, i) => {
         if (pushes[i]) arrows.push(this.pushed(torso, pushes[i], `push ${Math.hypot(...pushes[i]).toFixed(2)} N s`));
         const [x, y] = ahead[i], robot = torsos.length > 1 ? `robot ${i + 1}` : "";

@@ -242,6 +242,9 @@ def test_several_robots_stand_side_by_side(beside):
     assert len({body.speeds[0] for body in bodies}) == 3
     running.end()
     frame, views = window._frame(), window.views()
+    for body, view, centre in zip(bodies, views, frame["centres"], strict=True):
+        masses = body.model.body_mass
+        np.testing.assert_allclose(view.back(np.array(centre)), masses @ body.data.xipos / masses.sum(), atol=2e-4)
     for body, view, torso in zip(bodies, views, frame["torsos"], strict=True):
         np.testing.assert_allclose(view.back(np.array(torso)), body.data.xpos[1], atol=2e-4)
         np.testing.assert_allclose(view.turn[:2, :2] @ body.heading, [1.0, 0.0], atol=1e-9)
