@@ -4,7 +4,6 @@ A worker is an actor that has one GPU, or one CPU core where the cluster has no 
 driver through Ray's object store, so that workers need no access to the run folder.
 """
 
-import importlib
 import logging
 import os
 import socket
@@ -21,7 +20,7 @@ import numpy as np
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept
 from humanoid_mjx.config import parse
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, package
 from humanoid_mjx.training import chunks
 from humanoid_mjx.training.chunks import Arrays, Chunk, Desk, Event, Here, Note, UnderWay, Work, key_of
 from humanoid_mjx.training.cost import run_bytes
@@ -295,10 +294,7 @@ def _ray(address: str) -> Any:
     """
     for name, value in SETTINGS.items() if address == LOCAL else ():
         os.environ.setdefault(name, value)
-    try:
-        ray = importlib.import_module("ray")
-    except ImportError as error:
-        raise InputError("--ray needs the package ray; pip install 'humanoid-mjx[ray]' brings it.") from error
+    ray = package("ray", "ray", "--ray")
     with suppress(AttributeError):  # it prints a paragraph on each worker that is lost
         ray._private.worker.print_to_stdstream = lambda *_, **__: None
     return ray
