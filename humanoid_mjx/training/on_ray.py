@@ -23,7 +23,6 @@ from humanoid_mjx.config import parse
 from humanoid_mjx.spec import InputError, package
 from humanoid_mjx.training import chunks
 from humanoid_mjx.training.chunks import Arrays, Chunk, Desk, Event, Here, Note, UnderWay, Work, key_of
-from humanoid_mjx.training.cost import run_bytes
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import counted
 from humanoid_mjx.user_code import in_words
@@ -221,7 +220,7 @@ class OnRay:
             rows = np.isin(arrays["slots"], runs) if "slots" in arrays else np.ones(1, bool)
             if rows.any():
                 stored.append((where, {key: array[rows] if array.ndim else array for key, array in arrays.items()}))
-        size = run_bytes(self.plan.groups[chunk.group]) * len(chunk.runs)
+        size = self.plan.groups[chunk.group].bytes * len(chunk.runs)
         every_s = max(chunks.CHECKPOINT_EVERY_S, size / STATE_BYTES_PER_S)
         given = Given(desk.finished & set(chunk.runs), desk.watched, stored, every_s, LOOK_EVERY_S)
         stream = worker.train.options(num_returns="streaming").remote(chunk, given)
