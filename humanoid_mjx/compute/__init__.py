@@ -1,6 +1,6 @@
 """The machine and the process: XLA's options, start, memory and cores, provenance, random numbers."""
 
-from humanoid_mjx.compute.compiles import counting_compiles
+from humanoid_mjx.compute.compiles import timing_compiles
 from humanoid_mjx.compute.limits import available_memory, cores, out_of_memory, reserve_memory
 from humanoid_mjx.compute.options import XLA_FLAGS, Arithmetic, Options, Program, compiler_options, jitted
 from humanoid_mjx.compute.provenance import commit, machine, made_by, versions
@@ -17,7 +17,6 @@ __all__ = [
     "commit",
     "compiler_options",
     "cores",
-    "counting_compiles",
     "jitted",
     "look_for_garbage_seldom",
     "machine",
@@ -26,5 +25,6 @@ __all__ = [
     "out_of_memory",
     "reserve_memory",
     "start",
+    "timing_compiles",
     "versions",
 ]
