@@ -23,7 +23,7 @@ from humanoid_mjx.compute import cores
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
+from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
@@ -52,7 +52,7 @@ _LOCK = threading.Lock()
 class Native(MujocoPhysics):
     """Native MuJoCo. Worlds may differ in their traced values: each distinct set of them has a model of its own."""
 
-    batches: ClassVar[Batches] = Batches(cpu=256, gpu=256)
+    batch: ClassVar[int] = 256
     terrains: ClassVar[tuple[tuple[str, ...], ...]] = (("rough",), ("stairs",))
     host_call: ClassVar[Any] = staticmethod(partial(jax.pure_callback, vmap_method="broadcast_all"))
     """Call of the host for a time step, which jax may drop or repeat."""
