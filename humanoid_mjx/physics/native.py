@@ -150,15 +150,9 @@ class Native(MujocoPhysics):
             if waves:
                 for model, row in zip(models, distinct[first : first + team.room], strict=True):
                     follow(model, team.data[0], qpos[int(row[-1])], team.terrain_of(row))
-            states[rows], sensordata[rows] = team.rollout.rollout(
-                [models[i - first] for i in kind[rows]],
-                team.data,
-                initial[rows],
-                control[rows, None],
-                control_spec=CONTROL,
-                nstep=1,
-                initial_warmstart=warmstart[rows],
-            )
+            options = {"control_spec": CONTROL, "nstep": 1, "initial_warmstart": warmstart[rows]}
+            given = [models[i - first] for i in kind[rows]], team.data, initial[rows], control[rows, None]
+            states[rows], sensordata[rows] = team.rollout.rollout(*given, **options)
         moved, speed = np.split(states[:, 0, 1:], [nq], axis=-1)  # without the time
         return moved, speed, (speed - qvel) / self.step_s, sensordata[:, 0, : sensordata.shape[-1] * sensed]
 

@@ -90,13 +90,8 @@ def draw_band(
         if band and len(curves) > 1:
             panel.fill_between(at, low, high, color=color, alpha=0.2, linewidth=0)
     else:
-        panel.errorbar(
-            at,
-            middle,
-            yerr=np.maximum([middle - low, high - middle], 0.0),
-            color=color,
-            **{"fmt": "o", "markersize": 3, "elinewidth": 0.8} | look,
-        )
+        look = {"fmt": "o", "markersize": 3, "elinewidth": 0.8} | look
+        panel.errorbar(at, middle, yerr=np.maximum([middle - low, high - middle], 0.0), color=color, **look)
     return Line(float(middle[-1]), left_out)
 
 
