@@ -227,10 +227,8 @@ def judge_locking(hanging: float, standing: float) -> Finding:
     quantity = "the least stiffness of the straight leg without torques, N m/rad: hanging, carrying half of the body"
     claim = "in a singular posture the structure comes to a locking state, which gives safety (4.4.1)"
     why = f"a force along the straight leg needs no torque, whatever its size; but pushed by {HALF_WEIGHT:.1f} N it "
-    why += (
-        "buckles at any touch where the stiffness is negative, and hanging nothing holds the yaw. The rank is lost as "
-    )
-    why += "the joints can move there without the toe: a posture that is not singular holds them when the foot is held"
+    why += "buckles at any touch where the stiffness is negative, and hanging nothing holds the yaw. The rank is lost "
+    why += "as the joints can move there without the toe: a posture that is not singular holds them if the foot is held"
     found = [round(x, 4) + 0.0 for x in (hanging, standing)]
     return check(quantity, claim, found, min(found) >= 0, why, 0.0)
 
