@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from humanoid_mjx.report.web import MEDIA, anchor_of, facts, image, link, page, section, table, text
-from humanoid_mjx.reproduction.findings import MEANINGS
+from humanoid_mjx.reproduction.findings import MEANINGS, as_text
 from humanoid_mjx.reproduction.runner import FINDINGS, load_experiments, read_findings, read_runs
 
 
@@ -70,26 +70,14 @@ def _heading(name: str, titles: Mapping[str, str]) -> str:
 def _finding(finding: Mapping[str, Any]) -> str:
     verdict = str(finding["verdict"])
     kind = verdict if verdict in MEANINGS else "other"
-    compared = [("printed", _value(finding["printed"])), ("comes out", _value(finding["reproduced"]))]
+    compared = [("printed", as_text(finding["printed"])), ("comes out", as_text(finding["reproduced"]))]
     if finding["tolerance"] is not None:
-        compared.append(("tolerance", _value(finding["tolerance"])))
+        compared.append(("tolerance", as_text(finding["tolerance"])))
     return (
         f'<div class="finding">{text(str(finding["quantity"]), "h4")}{facts(compared)}'
         f'<p><span class="verdict {kind}">{text(_words(verdict), "span")}</span>: '
         f"{text(str(finding['why']), 'span')}</p></div>"
     )
-
-
-def _value(value: Any) -> str:
-    if value is None:
-        return "nothing"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list):
-        return ", ".join(map(_value, value))
-    if isinstance(value, dict):
-        return "; ".join(f"{key}: {_value(inner)}" for key, inner in value.items() if inner != "")
-    return str(value)
 
 
 def _words(verdict: str) -> str:
