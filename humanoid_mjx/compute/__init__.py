@@ -2,7 +2,7 @@
 
 from humanoid_mjx.compute.compiles import timing_compiles
 from humanoid_mjx.compute.limits import available_memory, cores, out_of_memory, reserve_memory
-from humanoid_mjx.compute.options import XLA_FLAGS, Arithmetic, Options, Program, compiler_options, jitted
+from humanoid_mjx.compute.options import XLA_FLAGS, Arithmetic, Program, compiler_options, jitted
 from humanoid_mjx.compute.provenance import commit, machine, made_by, versions
 from humanoid_mjx.compute.settings import POOL_THREADS, check_settings, look_for_garbage_seldom, make_room, start
 
@@ -10,7 +10,6 @@ __all__ = [
     "POOL_THREADS",
     "XLA_FLAGS",
     "Arithmetic",
-    "Options",
     "Program",
     "available_memory",
     "check_settings",
