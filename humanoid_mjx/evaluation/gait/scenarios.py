@@ -5,7 +5,7 @@ length. Of the motion only the sums of `gait.tally` are stored.
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,7 +19,7 @@ from humanoid_mjx.evaluation.gait import tally as sums
 from humanoid_mjx.evaluation.gait.figures import FIGURES, Gait, figures, summarised
 from humanoid_mjx.evaluation.gait.tally import Asked, Tally, heading_of, sample_of, wrapped
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.learners.rollout import AGENTS, agent, decision_keys, start
+from humanoid_mjx.learners.rollout import AGENTS, Choose, agent, decision_keys, start
 from humanoid_mjx.physics.base import World, where
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError
@@ -159,8 +159,9 @@ def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
     def episode(
         learner: Learner, policy: Any, number: IntScalar, command: _Commands, key: Key[Array, ""], decisions: IntScalar
     ) -> dict[str, FloatScalar]:
-        decide = lambda index, loop: _decide(learner, index, policy, number, command, key, loop)  # noqa: E731
-        loop, task = jax.lax.fori_loop(0, decisions, decide, _begin(learner, key)), walking_task(learner.task)
+        task = walking_task(learner.task)
+        decide = partial(_decide, task, agent(learner, policy, number), command, key)
+        loop = jax.lax.fori_loop(0, decisions, decide, _begin(task, key))
         turns, mass = jnp.isfinite(command.turn_at), (loop.state.data.plant or task.plant).mass
         found = figures(loop.tally, command.command, turns, loop.fallen, task.robot, mass, task.simulator.step_s)
         return {name: jnp.asarray(value, jnp.float32) for name, value in found.items()}
@@ -170,9 +171,8 @@ def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
     return jitted(episode, arithmetic)
 
 
-def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:
-    task = walking_task(learner.task)
-    state = start(learner.env, key)
+def _begin(task: LeggedTask, key: Key[Array, ""]) -> _Loop:
+    state = start(task, key)
     view = task.view(state.data, None, jnp.zeros_like(state.data.offsets))
     sensed = jax.eval_shape(lambda: task.simulator.sense(state.data.world, jnp.zeros_like(state.data.offsets)))
     blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), sensed)
@@ -184,16 +184,9 @@ def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:
 
 
 def _decide(
-    learner: Learner,
-    index: IntScalar,
-    policy: Any,
-    number: IntScalar,
-    command: _Commands,
-    key: Key[Array, ""],
-    loop: _Loop,
+    task: LeggedTask, choose: Choose, command: _Commands, key: Key[Array, ""], index: IntScalar, loop: _Loop
 ) -> _Loop:
     """Decision number `index` of one episode."""
-    task = walking_task(learner.task)
     seconds = index * task.period
     heading = loop.tally.turned + wrapped(heading_of(loop.view.rotation) - loop.tally.last.heading)
     begun = jnp.asarray(seconds > command.turn_at - task.period / 2)
@@ -202,8 +195,7 @@ def _decide(
     asked = command.command.at[2].set(jnp.where(begun, rate, command.command[2]))
     state = task.commanded(loop.state, loop.view, asked)
     act_key, step_key = decision_keys(key, index)
-    action = agent(learner, policy, number)(state, act_key)
-    state, view, sensed = task.step_watched(state, task.as_numbers(action), step_key)
+    state, view, sensed = task.step_watched(state, task.as_numbers(choose(state, act_key)), step_key)
     fallen = loop.fallen | state.terminated
     interval = task.simulator.step_s
     window = sums.window_samples(task.gait.period if task.gait else None, interval)
