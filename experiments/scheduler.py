@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from humanoid_mjx.config import load
-from humanoid_mjx.training.cost import finished_bytes, run_bytes
+from humanoid_mjx.training.cost import finished_bytes
 from humanoid_mjx.training.on_ray import STATE_BYTES_PER_S
 from humanoid_mjx.training.plan import make_plan
 
@@ -129,7 +129,7 @@ def main() -> None:
     measured = json.loads((BENCH / "h100_walk.json").read_text())["training"]
     plan = make_plan(load("walk", [f"seeds={SEEDS}"]))
     group = plan.groups[0]
-    sizes = run_bytes(group), finished_bytes(group)
+    sizes = group.bytes, finished_bytes(group)
     # Nothing is compiled: the rest of the command is the start of Python, tracing and compiling.
     start_s = measured["command_s"] - measured["wall_s"] + measured["compile_s"]
     rows = [row(gpus, SEEDS, measured["steps_per_s"], start_s, sizes, plan.budget) for gpus in GPUS]

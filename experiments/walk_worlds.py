@@ -23,7 +23,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.control.drives import Drive
 from humanoid_mjx.control.pd import Joints
 from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_worlds, scenarios_of, walking_task
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_scenarios, scenarios_of, walking_task
 from humanoid_mjx.evaluation.policy import StoredPolicy, in_world
 from humanoid_mjx.physics.base import Readings
 from humanoid_mjx.physics.sensors import Sensors, SensorState
@@ -126,22 +126,17 @@ def walked_worlds(
     names: Sequence[str] = FIGURES,
     scenarios: Sequence[Scenario] | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the figures of `walked` in each world, which are the tasks of these learners. Those of one structure are
-    played side by side."""
+    """Return the figures of `walked` in each world, which are the tasks of these learners."""
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
     scenarios = scenarios or scenarios_of(walking_task(learners[0].task).robot)
-    alike: dict[Any, list[int]] = {}
-    for index, learner in enumerate(learners):
-        alike.setdefault(jax.tree.structure(learner), []).append(index)
-    results: dict[int, dict[str, Any]] = {}
-    for indices in alike.values():
-        duration = float(walking_task(learners[indices[0]].task).duration)
-        found = play_worlds([learners[index] for index in indices], stacked, scenarios, episodes, duration)
-        for index, of_world in zip(indices, found, strict=True):
-            gaits = [gait.as_json() for gait in gaits_of(of_world, scenarios)]
-            figures = {name: [_of_seeds(gait, name) for gait in gaits] for name in names}
-            results[index] = {"commands": [gait["scenario"] for gait in gaits], **figures}
-    return [results[index] for index in range(len(learners))]
+    results: list[dict[str, Any]] = []
+    for learner in learners:
+        duration = float(walking_task(learner.task).duration)
+        found = play_scenarios(learner, stacked, scenarios, episodes, duration)
+        gaits = [gait.as_json() for gait in gaits_of(found, scenarios)]
+        figures = {name: [_of_seeds(gait, name) for gait in gaits] for name in names}
+        results.append({"commands": [gait["scenario"] for gait in gaits], **figures})
+    return results
 
 
 def _of_seeds(gait: dict[str, Any], name: str) -> list[float] | None:

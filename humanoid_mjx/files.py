@@ -75,8 +75,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def refusing(path: Path) -> Iterator[None]:
-    """Turn errors of the system within the block into what to say of a path that cannot be written.
+def refusing(path: Path, done: str = "written") -> Iterator[None]:
+    """Turn errors of the system within the block into what to say of a path that cannot be `done` so.
 
     Raises:
       InputError: there was one.
@@ -84,7 +84,7 @@ def refusing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {of_system(error)}.") from error
+        raise InputError(f"{path}: cannot be {done}: {of_system(error)}.") from error
 
 
 def lock(handle: int, shared: bool = False) -> None:

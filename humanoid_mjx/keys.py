@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
-from humanoid_mjx.spec import Spec, is_traced
+from humanoid_mjx.spec import Spec, is_traced, within
 
 BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 
@@ -40,16 +40,9 @@ def keys_of(cls: type[Spec], prefix: str, branch: Spec | None = None) -> Iterato
         shown = "" if field.is_required() and not branch else _plain(default)
         meaning = _meaning(cls, name) or (f"kind of {prefix.rpartition('.')[2]}" if name == "name" else "")
         yield Key(dotted, shown, _allowed(field), is_traced(field), meaning)
-        for part in _specs(field.annotation) if default is None else ():
-            yield from keys_of(part, dotted)
-
-
-def _specs(annotation: Any) -> Iterator[type[Spec]]:
-    """Yield the Specs that a field may hold."""
-    if isinstance(annotation, type) and issubclass(annotation, Spec):
-        yield annotation
-    for part in get_args(annotation):
-        yield from _specs(part)
+        for part in within([field.annotation]) if default is None else ():
+            if isinstance(part, type) and issubclass(part, Spec):
+                yield from keys_of(part, dotted)
 
 
 def _meaning(cls: type[Spec], name: str) -> str:

@@ -100,7 +100,7 @@ class Spec(pydantic.BaseModel):
         if number and not SMALLEST <= abs(value) <= LARGEST:  # pydantic refuses what is not finite
             raise ValueError(f"a number must be 0 or from {SMALLEST:.3g} to {LARGEST:.3g}, got {shown(value)}")
         kinds = (cls.model_fields[info.field_name].annotation,)
-        if isinstance(value, (bool, float)) and (numbers := [k for k in _within(kinds) if type(k) is int]):
+        if isinstance(value, (bool, float)) and (numbers := [k for k in within(kinds) if type(k) is int]):
             raise PydanticKnownError("literal_error", {"expected": ", ".join(map(str, numbers))})
         return value
 
@@ -114,7 +114,7 @@ class Spec(pydantic.BaseModel):
             place = f"{type(self).__name__}.replace: {name}"
             if (field := type(self).model_fields.get(name)) is None:
                 raise InputError(f"{place}: unknown field; {known(name, type(self).model_fields)}.")
-            choices = [kind for kind in _within([field.annotation]) if isinstance(kind, str)]
+            choices = [kind for kind in within([field.annotation]) if isinstance(kind, str)]
             if isinstance(value, str) and choices and value not in choices:
                 raise InputError(f"{place} must be one of {', '.join(choices)}, got {value!r}.")
             if isinstance(value, (jax.Array, np.ndarray)) and not is_traced(field):
@@ -123,39 +123,33 @@ class Spec(pydantic.BaseModel):
         return self.model_copy(update=values)
 
 
-def _within(kinds: Iterable[Any]) -> Iterator[Any]:
-    """Yield all parts of annotations, with the values of a `Literal`."""
+def within(kinds: Iterable[Any]) -> Iterator[Any]:
+    """Yield annotations and all their parts, with the values of a `Literal`."""
     for kind in kinds:
         yield kind
-        yield from _within(get_args(kind))
-
-
-def _split(spec: Spec) -> tuple[list[tuple[str, Any]], tuple[tuple[str, Any], ...]]:
-    """Return the fields that are nodes of the pytree, and the static fields."""
-    nodes, static = [], []
-    for name, field in type(spec).model_fields.items():
-        value = getattr(spec, name)
-        (nodes if is_traced(field) or isinstance(value, Spec) else static).append((name, value))
-    return nodes, tuple(static)
+        yield from within(get_args(kind))
 
 
 def kinds(spec: Spec) -> Iterator[type[Spec]]:
     """Yield the classes of a Spec and of the Specs in its fields."""
     yield type(spec)
-    for _, value in _split(spec)[0]:
+    for value in vars(spec).values():
         if isinstance(value, Spec):
             yield from kinds(value)
 
 
 def _flatten(spec: Spec) -> tuple[list[Any], tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]]:
-    nodes, static = _split(spec)
-    return [value for _, value in nodes], (tuple(name for name, _ in nodes), static)
+    """Return the nodes of the pytree; their names, and the static fields."""
+    nodes, static = {}, {}
+    for name, field in type(spec).model_fields.items():
+        value = getattr(spec, name)
+        (nodes if is_traced(field) or isinstance(value, Spec) else static)[name] = value
+    return list(nodes.values()), (tuple(nodes), tuple(static.items()))
 
 
 def _flatten_with_keys(spec: Spec) -> tuple[list[tuple[Any, Any]], Any]:
-    nodes, static = _split(spec)
-    keys = [(jax.tree_util.GetAttrKey(name), value) for name, value in nodes]
-    return keys, (tuple(name for name, _ in nodes), static)
+    values, structure = _flatten(spec)
+    return list(zip(map(jax.tree_util.GetAttrKey, structure[0]), values, strict=True)), structure
 
 
 def _completed(default: Spec, written: Any) -> Any:
@@ -288,6 +282,18 @@ def _import(name: str) -> ModuleType:
                 words = f"{error.msg} on Python's path or in {' or '.join(folders)}"
                 raise ModuleNotFoundError(words, name=error.name) from None
             raise
+
+
+def package(name: str, extra: str, what: str) -> Any:
+    """Return a package that an extra of this one brings and that `what` needs.
+
+    Raises:
+      InputError: it is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise InputError(f"{what} needs the package {name}; pip install 'humanoid-mjx[{extra}]' brings it.") from error
 
 
 def find(kind: str, registry: Mapping[str, str], base: type[Some], name: str) -> type[Some]:
@@ -439,6 +445,6 @@ def _fields(model: type[pydantic.BaseModel] | None, place: Iterable[Any]) -> Map
     for name in place:
         kinds = (model.model_fields[name].annotation,) if model else ()
         model = next(
-            (kind for kind in _within(kinds) if isinstance(kind, type) and issubclass(kind, pydantic.BaseModel)), None
+            (kind for kind in within(kinds) if isinstance(kind, type) and issubclass(kind, pydantic.BaseModel)), None
         )
     return model.model_fields if model else {}

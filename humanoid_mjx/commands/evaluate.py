@@ -94,9 +94,8 @@ def _gaits(
         whose = each.policies[0].name + (f", {seeds} training seeds" if seeds > 1 else "")
         title = f"{whose}: {episodes:,} episodes a command that no training has seen{_changes(worlds[0], settings)}"
         console.print(gait_table(title, each.gaits, each.beyond), *remarks(each.gaits, each.beyond), sep="\n")
-    for words in played_by(policies):
-        console.print(words)
-    console.print("; ".join(f"{name}: {meaning}" for name, meaning in meanings().items()) + ".")
+    words = "; ".join(f"{name}: {meaning}" for name, meaning in meanings().items())
+    console.print(*played_by(policies), f"{words}.", sep="\n")
     figures = {name: figure._asdict() for name, figure in FIGURES.items()}
     return {"set": settings, "figures": figures, "results": [each.as_json() for each in measured]}
 

@@ -25,7 +25,7 @@ from humanoid_mjx.robot.holding import in_words
 from humanoid_mjx.spec import InputError, Spec, find, known, modules_in
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
-from humanoid_mjx.training.cost import disk_bytes, run_bytes, runs_at_once, slots, training_bytes
+from humanoid_mjx.training.cost import disk_bytes, runs_at_once, slots, training_bytes
 from humanoid_mjx.training.pace import MEASURED_S, estimate, time_in_words
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.programs import why_no_kernel
@@ -149,7 +149,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     plan = make_plan(load(config, overrides))
     console.print(dump_yaml(plan.resolved()).rstrip())
     _print_rows("", [HEADINGS, *dict.fromkeys(row for own in plan.learners for row in differences_of(own.task))])
-    size = sum(run_bytes(group) * len(group.first_runs) for group in plan.groups)
+    size = sum(group.bytes * len(group.first_runs) for group in plan.groups)
     most = max(training_bytes(group) for group in plan.groups)
     together, refusal = [1] * len(plan.groups), None
     try:

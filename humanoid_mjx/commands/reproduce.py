@@ -2,7 +2,7 @@
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
@@ -21,6 +21,7 @@ def reproduce(
 ) -> None:
     """Reproduce tables and figures of the thesis, each with a computed verdict."""
     from humanoid_mjx import compute, reproduction
+    from humanoid_mjx.reproduction.findings import as_text
 
     compute.start(mjx=True)
     if list_:
@@ -32,18 +33,10 @@ def reproduce(
         console.print(f"\n{experiment.name}: {experiment.title} ({seconds:.1f} s)")
         for finding in findings:
             console.print(f"  {finding.verdict:16} {finding.quantity}")
-            console.print(f"  {'':16} printed {_shown(finding.printed)}, reproduced {_shown(finding.reproduced)}")
+            console.print(f"  {'':16} printed {as_text(finding.printed)}, reproduced {as_text(finding.reproduced)}")
             console.print(f"  {'':16} {finding.why}")
 
     with console.status("reproducing") as status:
         findings = reproduction.reproduce(names or [], out, set_ or [], say, status.update)
     counts = Counter(finding.verdict for finding in findings)
     console.print(f"\n{', '.join(f'{count} {verdict}' for verdict, count in counts.items())}\n{out / 'reproduce.json'}")
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {_shown(inner)}" for name, inner in value.items() if inner != "")
-    if isinstance(value, (list, tuple)):
-        return ", ".join(map(_shown, value))
-    return "nothing" if value is None else str(value)

@@ -53,17 +53,11 @@ def runs_table(found: Sequence["Listed"]) -> Table:
     columns += map(number, ("success", "return", "started", "size"))
     table = Table(*columns, box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for run in found:
-        table.add_row(
-            _name(run),
-            run.task,
-            run.learner,
-            f"{run.points:,} x {run.seeds:,}",
-            _state(run),
-            f"{run.success:.1%}" if isfinite(run.success) else "",
-            f"{run.greedy_return:.4g}" if isfinite(run.greedy_return) else "",
-            f"{run.started.astimezone():%Y-%m-%d %H:%M}",
-            decimal(run.size),
-        )
+        count, started = f"{run.points:,} x {run.seeds:,}", f"{run.started.astimezone():%Y-%m-%d %H:%M}"
+        success = f"{run.success:.1%}" if isfinite(run.success) else ""
+        total = f"{run.greedy_return:.4g}" if isfinite(run.greedy_return) else ""
+        about = _name(run), run.task, run.learner, count, _state(run)
+        table.add_row(*about, success, total, started, decimal(run.size))
     return table
 
 

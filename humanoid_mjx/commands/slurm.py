@@ -1,7 +1,6 @@
 """The command `sweep --slurm`, which hands the sweep over to Slurm through submitit: an array of jobs, each with some
 chunks of runs, for each rung of a sweep in mode halving, and a job that writes the tables when all have ended."""
 
-import importlib
 import os
 import shutil
 import time
@@ -19,7 +18,7 @@ from humanoid_mjx.compute import kept
 from humanoid_mjx.config import load, parse_yaml
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.runs.tables import all_runs, run_numbers
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, package
 from humanoid_mjx.training.chunks import Chunk, Desk, chunks
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import counted
@@ -56,7 +55,7 @@ class Job:
 
     def checkpoint(self) -> Any:
         """The job that Slurm begins anew after a time limit or preemption: the same, which goes on."""
-        return _submitit().helpers.DelayedSubmission(self)
+        return package("submitit", "slurm", "--slurm").helpers.DelayedSubmission(self)
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ def submit_sweep(
     Raises:
       InputError: submitit is missing or refuses, or the config or the place cannot be used. No new folder is left.
     """
-    submitit, parameters = _submitit(), _parameters(given)
+    submitit, parameters = package("submitit", "slurm", "--slurm"), _parameters(given)
     Tracking(trackers, console.print)  # now rather than in the last job says what is missing
     plan = make_plan(load(config, overrides))
     place = Path(out or (latest_path if resume else fresh_path)(plan.config.name))
@@ -189,10 +188,3 @@ def _parameters(given: Sequence[str]) -> dict[str, Any]:
             raise InputError(f"--slurm {text}: {key} is given twice; leave one of them out.")
         found[name] = parse_yaml(value, f"--slurm {text}")
     return found
-
-
-def _submitit() -> Any:
-    try:
-        return importlib.import_module("submitit")
-    except ImportError as error:
-        raise InputError("--slurm needs the package submitit; pip install 'humanoid-mjx[slurm]' brings it.") from error

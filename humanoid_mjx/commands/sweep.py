@@ -62,14 +62,8 @@ def run_sweep(
         _growing(bar) if view else nullcontext() as growing,
     ):
         try:
-            run = sweep(
-                loaded,
-                out,
-                resume=resume,
-                reporter=growing or bar,
-                watch=[*tracking.watch, *([growing.watch] if growing else [])],
-                engine=engine,
-            )
+            watch = [*tracking.watch, *([growing.watch] if growing else [])]
+            run = sweep(loaded, out, resume=resume, reporter=growing or bar, watch=watch, engine=engine)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None

@@ -1,8 +1,8 @@
 """The machine and the process: XLA's options, start, memory and cores, provenance, random numbers."""
 
-from humanoid_mjx.compute.compiles import counting_compiles
+from humanoid_mjx.compute.compiles import timing_compiles
 from humanoid_mjx.compute.limits import available_memory, cores, out_of_memory, reserve_memory
-from humanoid_mjx.compute.options import XLA_FLAGS, Arithmetic, Options, Program, compiler_options, jitted
+from humanoid_mjx.compute.options import XLA_FLAGS, Arithmetic, Program, compiler_options, jitted
 from humanoid_mjx.compute.provenance import commit, machine, made_by, versions
 from humanoid_mjx.compute.settings import POOL_THREADS, check_settings, look_for_garbage_seldom, make_room, start
 
@@ -10,14 +10,12 @@ __all__ = [
     "POOL_THREADS",
     "XLA_FLAGS",
     "Arithmetic",
-    "Options",
     "Program",
     "available_memory",
     "check_settings",
     "commit",
     "compiler_options",
     "cores",
-    "counting_compiles",
     "jitted",
     "look_for_garbage_seldom",
     "machine",
@@ -26,5 +24,6 @@ __all__ = [
     "out_of_memory",
     "reserve_memory",
     "start",
+    "timing_compiles",
     "versions",
 ]

@@ -43,11 +43,6 @@ def keeping() -> Iterator[None]:
         _on = False
 
 
-def _possible() -> bool:
-    """Return whether programs can be kept here. On a GPU this was never tried."""
-    return jax.default_backend() == "cpu" and jax.config.values["jax_enable_compilation_cache"]
-
-
 def about(spec: Spec, arrays: Any = None, also: str = "") -> str | None:
     """Return the cache key of a program: structure, shapes, types and shardings of a Spec and of `arrays`, and `also`.
     None if the Spec has a class from outside this package, whose code may change."""
@@ -127,10 +122,10 @@ def load_program(stored: Any, args: tuple[Any, ...], devices: Sequence[Any]) -> 
 
 def _path(name: str, about: str | None) -> Path | None:
     place = jax.config.values["jax_compilation_cache_dir"]
-    if not _on or about is None or not place or not _possible() or fallback.reasons:
+    if not _on or about is None or not place or "://" in place or " at 0x" in about or fallback.reasons:
         return None
-    if "://" in place or " at 0x" in about:
-        return None
+    if jax.default_backend() != "cpu" or not jax.config.values["jax_enable_compilation_cache"]:
+        return None  # on a GPU this was never tried
     return Path(place) / f"{name}-{hashlib.sha256(about.encode()).hexdigest()[:40]}-traced"
 
 

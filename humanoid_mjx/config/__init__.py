@@ -177,13 +177,23 @@ def apply_override(data: dict[str, Any], override: str) -> None:
     if not sign or not all(key.split(".")):
         raise InputError(f"--set {override}: write it as key=value, such as --set learner.epsilon=0.1.")
     axis = key.removeprefix("sweep.axes.")
-    *parents, last = ("sweep", "axes", axis) if axis != key else key.split(".")
+    keys = ["sweep", "axes", axis] if axis != key else key.split(".")
+    set_below(data, keys, parse_yaml(text, f"--set {override}"), f"--set {override}")
+
+
+def set_below(data: dict[str, Any], keys: Sequence[str], value: Any, where: str) -> None:
+    """Set the value of nested keys in `data`; mappings on the way are copied, or made where there is none.
+
+    Raises:
+      InputError: a key on the way holds a value; `where` begins the message.
+    """
+    *parents, last = keys
     for parent in parents:
-        data[parent] = {} if data.get(parent) is None else data[parent]
-        data = data[parent]
-        if not isinstance(data, dict):
-            raise InputError(f"--set {override}: {parent} holds a value and no keys.")
-    data[last] = parse_yaml(text, f"--set {override}")
+        below = {} if data.get(parent) is None else data[parent]
+        if not isinstance(below, dict):
+            raise InputError(f"{where}: {parent} holds a value and no keys.")
+        data[parent] = data = dict(below)
+    data[last] = value
 
 
 MAX_NODES = 1_000_000

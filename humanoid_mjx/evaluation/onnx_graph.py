@@ -5,7 +5,6 @@ such as slices, transposes and gathers at constant places, become one `Gather` f
 from the same operation on the numbers 0, 1, 2, ... Shapes are static: one state, no batch.
 """
 
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, package
 
 OPSET, IR_VERSION = 18, 9
 
@@ -68,10 +67,7 @@ def to_onnx(
     Raises:
       InputError: the package onnx is missing, or the function has an operation that is not translated.
     """
-    try:
-        onnx: Any = importlib.import_module("onnx")
-    except ImportError as error:
-        raise InputError("ONNX files need the package onnx; pip install 'humanoid-mjx[onnx]' brings it.") from error
+    onnx = package("onnx", "onnx", "an ONNX file")
     closed = jax.make_jaxpr(function)(*inputs.values())
     graph = _Graph(onnx)
     found = graph.run(closed.jaxpr, closed.consts, list(inputs))

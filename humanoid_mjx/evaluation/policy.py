@@ -8,7 +8,6 @@ import json
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -273,7 +272,7 @@ def in_world(trained: StoredPolicy, physics: str | None, overrides: Sequence[str
         overrides = [f"task.physics={physics}", *overrides]
     if not overrides:
         return trained
-    data = {"task": deepcopy(trained.config.task)}
+    data = {"task": trained.config.task}
     check_overrides(overrides)
     for override in overrides:
         apply_override(data, override)

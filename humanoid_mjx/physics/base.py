@@ -110,18 +110,6 @@ class Sensed(NamedTuple):
     """Torques that act on the actuated joints, N m."""
 
 
-class Batches(NamedTuple):
-    """Numbers of worlds by where they are computed."""
-
-    cpu: int
-    gpu: int
-
-    @property
-    def here(self) -> int:
-        """The number for the devices of this process."""
-        return self.cpu if jax.default_backend() == "cpu" else self.gpu
-
-
 def freeze_if_diverged(old: World, new: World) -> World:
     """Return `new`; where it has diverged, `old` with the flag set."""
     sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all() & ~new.diverged
@@ -149,8 +137,10 @@ class Physics(Spec):
 
     robot: Robot = Field(description="the robot that moves")
 
-    batches: ClassVar[Batches] = Batches(cpu=1024, gpu=32_768)
-    """Largest number of worlds to move side by side: more gain nothing, and fewer report sooner."""
+    @property
+    def batch(self) -> int:
+        """Largest number of worlds to move side by side here: more gain nothing, and fewer report sooner."""
+        return 1024 if jax.default_backend() == "cpu" else 32_768
 
     @property
     def step_s(self) -> float:

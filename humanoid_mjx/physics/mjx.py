@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from humanoid_mjx import compute
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
-from humanoid_mjx.physics.base import Controller, Poses, Sensed, World, freeze_if_diverged, where
+from humanoid_mjx.physics.base import Controller, Poses, Sensed, Velocities, World, freeze_if_diverged, where
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, below
 from humanoid_mjx.types import AnyArray
@@ -82,7 +82,9 @@ class MjxJax(MujocoPhysics):
     def _seen(self, data: Any) -> Sensed:
         """Everything that a time step computes about its beginning."""
         poses = Poses(data.xpos, data.xmat.reshape(-1, 3, 3))
-        velocities = self._velocities(data.cvel, data.xpos, data.subtree_com)
+        angular, arm = data.cvel[:, :3], data.xpos - data.subtree_com[self.model.body_rootid]
+        # MuJoCo's `cvel` is about the centre of mass of a body's tree.
+        velocities = Velocities(data.cvel[:, 3:] + jnp.cross(angular, arm), angular)
         turning, felt = (self._read(data.sensordata, (name,)) for name in IMU)
         seen = data.qpos[self.joint_qpos], turning, felt, poses, velocities
         return self._sensed(*seen, self._normal_forces(data), self._torque(data))

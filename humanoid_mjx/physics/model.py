@@ -147,15 +147,6 @@ class MujocoPhysics(Physics):
         none = jnp.zeros(self.model.nv)
         return none.at[:3].set(jnp.stack(list(self.push))) if self.free else none
 
-    def _velocities(
-        self, cvel: Float[AnyArray, "bodies 6"], position: Float[AnyArray, "bodies 3"], com: Float[AnyArray, "bodies 3"]
-    ) -> Velocities:
-        """Velocities of the bodies from MuJoCo's `cvel`, which is about the centre of mass of a body's tree, `com`
-        (`subtree_com`)."""
-        angular = cvel[:, :3]
-        arm = position - com[self.model.body_rootid]
-        return Velocities(cvel[:, 3:] + jnp.cross(angular, arm), angular)
-
     def _sensed(
         self,
         encoders: Float[AnyArray, " joints"],

@@ -23,7 +23,7 @@ from humanoid_mjx.compute import cores
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
-from humanoid_mjx.physics.base import Batches, Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
+from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
@@ -52,7 +52,7 @@ _LOCK = threading.Lock()
 class Native(MujocoPhysics):
     """Native MuJoCo. Worlds may differ in their traced values: each distinct set of them has a model of its own."""
 
-    batches: ClassVar[Batches] = Batches(cpu=256, gpu=256)
+    batch: ClassVar[int] = 256
     terrains: ClassVar[tuple[tuple[str, ...], ...]] = (("rough",), ("stairs",))
     host_call: ClassVar[Any] = staticmethod(partial(jax.pure_callback, vmap_method="broadcast_all"))
     """Call of the host for a time step, which jax may drop or repeat."""
@@ -150,15 +150,9 @@ class Native(MujocoPhysics):
             if waves:
                 for model, row in zip(models, distinct[first : first + team.room], strict=True):
                     follow(model, team.data[0], qpos[int(row[-1])], team.terrain_of(row))
-            states[rows], sensordata[rows] = team.rollout.rollout(
-                [models[i - first] for i in kind[rows]],
-                team.data,
-                initial[rows],
-                control[rows, None],
-                control_spec=CONTROL,
-                nstep=1,
-                initial_warmstart=warmstart[rows],
-            )
+            options = {"control_spec": CONTROL, "nstep": 1, "initial_warmstart": warmstart[rows]}
+            given = [models[i - first] for i in kind[rows]], team.data, initial[rows], control[rows, None]
+            states[rows], sensordata[rows] = team.rollout.rollout(*given, **options)
         moved, speed = np.split(states[:, 0, 1:], [nq], axis=-1)  # without the time
         return moved, speed, (speed - qvel) / self.step_s, sensordata[:, 0, : sensordata.shape[-1] * sensed]
 

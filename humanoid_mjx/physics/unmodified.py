@@ -130,7 +130,7 @@ class _File(_Team):
         mujoco.mj_resetData(base, data)
         held = self.controls(robot.posture, 0.0 * robot.posture, robot.posture, 0.0 * robot.posture)
         for motor in np.flatnonzero(base.actuator_actnum == 1):
-            data.act[base.actuator_actadr[motor]] = held[getattr(base, "actuator_ctrladr", np.arange(base.nu))[motor]]
+            data.act[base.actuator_actadr[motor]] = held[base.actuator_ctrladr[motor]]
         self.rest = np.empty(mujoco.mj_stateSize(base, REST))
         mujoco.mj_getState(base, data, self.rest, REST)
 

@@ -27,15 +27,6 @@ COUNTED = {"episode": "episodes", "step": "control steps"}
 """The columns that a learning curve is drawn over, and what they are called."""
 
 
-def mean_known(values: Num[np.ndarray, "n ..."]) -> Float[np.ndarray, "..."]:
-    """The mean over the first axis of what is known; NaN where nothing is."""
-    known = np.isfinite(values)
-    if known.all():
-        return values.mean(axis=0, dtype=float)
-    count = known.sum(axis=0)
-    return np.where(count > 0, np.where(known, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
-
-
 def over_seeds(count: int | str, shape: str = "band") -> str:
     """Meaning of a line and its interval, in words; `shape` names the drawing of the interval."""
     return "1 seed" if count == 1 else f"median over {count} seeds, {shape}: its 95 % interval"
@@ -90,13 +81,8 @@ def draw_band(
         if band and len(curves) > 1:
             panel.fill_between(at, low, high, color=color, alpha=0.2, linewidth=0)
     else:
-        panel.errorbar(
-            at,
-            middle,
-            yerr=np.maximum([middle - low, high - middle], 0.0),
-            color=color,
-            **{"fmt": "o", "markersize": 3, "elinewidth": 0.8} | look,
-        )
+        look = {"fmt": "o", "markersize": 3, "elinewidth": 0.8} | look
+        panel.errorbar(at, middle, yerr=np.maximum([middle - low, high - middle], 0.0), color=color, **look)
     return Line(float(middle[-1]), left_out)
 
 

@@ -11,22 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.report.drawing import (
-    COUNTED,
-    CURVES,
-    HEAT_MAPS,
-    TERMS,
-    draw_band,
-    draw_bar,
-    mean_known,
-    over_seeds,
-    possible,
-)
+from humanoid_mjx.report.drawing import COUNTED, CURVES, HEAT_MAPS, TERMS, draw_band, draw_bar, over_seeds, possible
 from humanoid_mjx.report.parameters import draw_importance, draw_parallel, draw_points, heat_maps
 from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades
 from humanoid_mjx.runs.curves import Learning, read_learning
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.ranking import MEASURES, SAME, find_levels, short
+from humanoid_mjx.runs.statistics import mean_known
 from humanoid_mjx.training.sweep import Run
 
 MAX_CURVES = 8

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import lru_cache
-from importlib.util import find_spec
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from humanoid_mjx.evaluation.film import Film, Push
 from humanoid_mjx.files import refusing, whole_file
 from humanoid_mjx.report.raycast import Frame, Painter
 from humanoid_mjx.report.scene import Scene, make_camera, make_scene
-from humanoid_mjx.spec import InputError, check_folder
+from humanoid_mjx.spec import InputError, check_folder, package
 from humanoid_mjx.types import AnyArray
 
 INK, ALARM = (32, 32, 32), (193, 18, 31)
@@ -196,11 +196,8 @@ def check_file(path: Path) -> None:
     if path.suffix not in ENDINGS:
         raise InputError(f"{path}: the file must end in .gif, .mp4, .webm or .png.")
     check_folder(path)
-    if path.suffix in CODECS and find_spec("imageio_ffmpeg") is None:
-        raise InputError(
-            f"{path}: {path.suffix} needs the package imageio-ffmpeg: pip install 'humanoid-mjx[video]' brings it; "
-            ".gif needs nothing."
-        )
+    if path.suffix in CODECS:
+        package("imageio_ffmpeg", "video", f"{path}: .gif needs no package, {path.suffix}")
 
 
 def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
@@ -217,13 +214,12 @@ def write_frames(frames: Iterable[Frame], path: Path, fps: float) -> None:
 
 
 def _encode(frames: Iterable[Frame], path: Path, fps: float) -> None:
-    import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
-
     rest = iter(frames)
     first = next(rest)
     size = f"{first.shape[1]}x{first.shape[0]}"
     raw = "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-"
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *CODECS[path.suffix], str(path)]
+    ffmpeg, options = import_module("imageio_ffmpeg").get_ffmpeg_exe(), CODECS[path.suffix]
+    command = [ffmpeg, "-y", "-loglevel", "error", *raw, *options, str(path)]
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
         assert process.stdin is not None

@@ -48,16 +48,6 @@ _KINDS = {
 }
 
 
-class Shape(NamedTuple):
-    """A solid of a robot's body. Sizes are as MuJoCo has them: radius and half lengths, m."""
-
-    kind: str
-    """`sphere`, `capsule`, `ellipsoid`, `cylinder` or `box`."""
-    size: Float[np.ndarray, "3"]
-    color: Float[np.ndarray, "3"]
-    """Red, green and blue, 0 to 1."""
-
-
 class Scene(NamedTuple):
     """A motion of shapes, and the camera that follows it."""
 
@@ -65,7 +55,6 @@ class Scene(NamedTuple):
     qpos: Float[np.ndarray, "frames nq"]
     shown: list[int]
     """The geoms that are drawn, but for planes: one for each shape."""
-    shapes: list[Shape]
     position: Float[np.ndarray, "frames shapes 3"]
     """Positions of the shapes, m, world: x forward, y to the left, z up."""
     rotation: Float[np.ndarray, "frames shapes 3 3"]
@@ -99,25 +88,20 @@ class Scene(NamedTuple):
 def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"], terrain: Terrain | None = None) -> Scene:
     """The shapes of a robot in each posture. Meshes appear as the boxes around them."""
     rows, data = np.asarray(qpos, np.float64), mujoco.MjData(model)
-    solid = [g for g in range(model.ngeom) if not _is_plane(model, g)]
+    planes, frames = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, []
+    solid, grounded = np.flatnonzero(~planes).tolist(), bool(planes.any())
     shown = [g for g in solid if model.geom_group[g] < VISIBLE_GROUPS] or solid
-    places, turns, torso = [], [], []
     for row in rows:
         data.qpos = row
         mujoco.mj_kinematics(model, data)
-        place, turn = posed(model, data, shown)
-        places.append(place)
-        turns.append(turn)
-        torso.append(data.xpos[1].copy())
-    position, middle = np.stack(places), np.array(torso)
-    grounded = any(_is_plane(model, g) for g in range(model.ngeom))
+        frames.append((*posed(model, data, shown), data.xpos[1].copy()))
+    position, turns, torso = map(np.stack, zip(*frames, strict=True))
+    middle = torso.copy()
     below = terrain.level(*middle[:, :2].T) if terrain else np.zeros(len(rows))
     above = position - below[:, None, None] * [0.0, 0.0, 1.0]
     view, middle[:, 2] = _framing(model, above, middle, model.geom_rbound[shown], grounded)
     middle[:, 2] += below
-    shapes = [_shape(model, g) for g in shown]
-    turns, torso = np.stack(turns), np.array(torso)
-    return Scene(model, rows, shown, shapes, position, turns, middle, torso, view, grounded, terrain)
+    return Scene(model, rows, shown, position, turns, middle, torso, view, grounded, terrain)
 
 
 def _framing(
@@ -141,8 +125,10 @@ def posed(
     model: mujoco.MjModel, data: mujoco.MjData, shown: Sequence[int]
 ) -> tuple[Float[np.ndarray, "shapes 3"], Float[np.ndarray, "shapes 3 3"]]:
     """Positions and rotations of the shapes of some geoms, as the data has them."""
-    turns = data.geom_xmat[shown].reshape(-1, 3, 3).copy()
-    return data.geom_xpos[shown] + np.einsum("sij,sj->si", turns, _offsets(model)[shown]), turns
+    turns, known = data.geom_xmat[shown].reshape(-1, 3, 3).copy(), [int(kind) for kind in _KINDS]
+    is_box = ~np.isin(model.geom_type[shown], known)[:, None]  # around a mesh, whose place is not the box's middle
+    offsets = np.where(is_box, model.geom_aabb[shown, :3], 0.0)
+    return data.geom_xpos[shown] + np.einsum("sij,sj->si", turns, offsets), turns
 
 
 def colored(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
@@ -156,22 +142,12 @@ def _share(model: mujoco.MjModel, share: float) -> float:
     return two_digits(share * model.stat.extent)
 
 
-def _is_plane(model: mujoco.MjModel, geom: int) -> bool:
-    return bool(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE)
-
-
-def _shape(model: mujoco.MjModel, geom: int) -> Shape:
+def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
+    """A geom as `player.js` draws it: kind, size as MuJoCo has it (radius and half lengths, m), and colour, 0 to 1."""
     kind = _KINDS.get(mujoco.mjtGeom(model.geom_type[geom]))
-    size = model.geom_size[geom].copy() if kind else model.geom_aabb[geom, 3:].copy()
-    if kind == "sphere":
-        size = np.repeat(size[0], 3)
-    return Shape(kind or "box", size, np.array(colored(model, geom)[:3]))
-
-
-def _offsets(model: mujoco.MjModel) -> Float[np.ndarray, "geoms 3"]:
-    """From a geom's place to the middle of what is drawn for it: only a mesh's box has one."""
-    known = np.isin(model.geom_type, [int(kind) for kind in _KINDS])
-    return np.where(known[:, None], 0.0, model.geom_aabb[:, :3])
+    size = model.geom_size[geom] if kind else model.geom_aabb[geom, 3:]
+    size = size[[0, 0, 0]] if kind == "sphere" else size
+    return {"kind": kind or "box", "size": rounded(size), "color": rounded(colored(model, geom)[:3])}
 
 
 class Camera(NamedTuple):
@@ -237,9 +213,7 @@ def scene_data(motion: Scene, title: str) -> dict[str, Any]:
         "middle": float(motion.middle[0, 2]),
         "grid": motion.grid,
         "arrow": motion.arrow,
-        "shapes": [
-            {"kind": shape.kind, "size": rounded(shape.size), "color": rounded(shape.color)} for shape in motion.shapes
-        ],
+        "shapes": [_shape(motion.model, geom) for geom in motion.shown],
     }
 
 

@@ -104,16 +104,8 @@ def wrapped(text: str, fig: Any) -> str:
 def label_lines(axis: Any, title: str | None = None) -> None:
     """Write the labels of an axes' lines beside it, in the order in which they were drawn."""
     lines = [line for line in axis.get_lines() if not str(line.get_label()).startswith("_") and len(line.get_ydata())]
-    look = {"frameon": False, "handlelength": 1.2, "borderpad": 0.0}
-    axis.legend(
-        handles=lines,
-        loc="center left",
-        bbox_to_anchor=(1.01, 0.5),
-        fontsize=7.5,
-        title=title,
-        title_fontsize=7.5,
-        **look,
-    )
+    look = {"frameon": False, "handlelength": 1.2, "borderpad": 0.0, "fontsize": 7.5, "title_fontsize": 7.5}
+    axis.legend(handles=lines, loc="center left", bbox_to_anchor=(1.01, 0.5), title=title, **look)
 
 
 def is_geometric(values: np.ndarray) -> bool:

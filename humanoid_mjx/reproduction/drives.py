@@ -34,10 +34,8 @@ def motors(setting: Setting) -> list[Finding]:
     errors = tracking_errors(reflected.ravel(), inertia.mean(axis=0)).max(axis=1).reshape(reflected.shape)
     quantity = f"share by which I_eff of (5.20) varies at a gear of {SHOWN:g}, by rotor and joint"
     why = 'from the least to the largest on the planned motion; "almost constant for highly geared manipulators" (5.4) '
-    why += (
-        "holds or fails with the rotor, of which nothing is printed. Without a gear and a rotor it varies by a factor "
-    )
-    why += f"of up to {(inertia.max(axis=0) / inertia.min(axis=0)).max():.1f}"
+    why += "holds or fails with the rotor, of which nothing is printed. Without a gear and a rotor it varies by a "
+    why += f"factor of up to {(inertia.max(axis=0) / inertia.min(axis=0)).max():.1f}"
     return [unprinted(quantity, _by_rotor(varies), why), judge_tracking(errors)]
 
 

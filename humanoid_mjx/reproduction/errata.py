@@ -39,16 +39,11 @@ def _compare(entry: Erratum, states: States) -> Finding:
     errors = entry.errors(states)
     size = float(np.abs(evaluate(entry.right, states)).max())
     agrees = bool(errors.max() <= TOLERANCE * (size or 1.0))
+    found = dict(zip(NUMBERS, map(three_digits, (errors.max(), np.median(errors), size)), strict=True))
     where = "Table 3.2's ranges" if entry.in_range else "the full circle"
-    return check(
-        entry.place,
-        "no fault" if entry.fault == "none" else entry.fault,
-        dict(zip(NUMBERS, map(three_digits, (errors.max(), np.median(errors), size)), strict=True))
-        | {"unit": entry.unit},
-        agrees,
-        (f"should be: {entry.fix}; " if entry.fix else "") + f"over {STATES} random postures in {where}",
-        f"{TOLERANCE:g} of the largest value",
-    )
+    why = (f"should be: {entry.fix}; " if entry.fix else "") + f"over {STATES} random postures in {where}"
+    fault, tolerance = "no fault" if entry.fault == "none" else entry.fault, f"{TOLERANCE:g} of the largest value"
+    return check(entry.place, fault, found | {"unit": entry.unit}, agrees, why, tolerance)
 
 
 def _states(ranges: tuple[tuple[float, float], ...]) -> States:

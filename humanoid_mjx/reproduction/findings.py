@@ -153,11 +153,11 @@ def check(
     elif not could_differ:
         verdict = "consistent"
     else:
-        verdict = "recovered" if departures(*values) else "reproduced"
+        verdict = "recovered" if changed(*values) else "reproduced"
     return Finding(quantity, printed, found, tolerance, verdict, why)
 
 
-def departures(used: Mapping[str, Any], printed: Mapping[str, Any]) -> list[str]:
+def changed(used: Mapping[str, Any], printed: Mapping[str, Any]) -> list[str]:
     """The values used that differ from the printed ones, in words."""
     return [
         f"{name} {value:g} in place of the printed {printed[name]:g}"
@@ -168,7 +168,7 @@ def departures(used: Mapping[str, Any], printed: Mapping[str, Any]) -> list[str]
 
 def in_words(used: Mapping[str, Any], printed: Mapping[str, Any]) -> str:
     """Differences of the values used from the printed ones, as the start of a sentence."""
-    changes = departures(used, printed)
+    changes = changed(used, printed)
     return "with " + ", ".join(changes) if changes else "with the printed values"
 
 
@@ -180,3 +180,12 @@ def three_digits(value: Any) -> Any:
 def listed(values: Iterable[Any]) -> str:
     """Numbers as words, with commas between them."""
     return ", ".join(f"{value:g}" for value in values)
+
+
+def as_text(value: Any) -> str:
+    """What is printed or comes out: a number, to all digits that are printed anywhere; a list or a mapping of such."""
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(as_text, value))
+    if isinstance(value, dict):
+        return "; ".join(f"{key}: {as_text(inner)}" for key, inner in value.items() if inner != "")
+    return "nothing" if value is None else f"{value:.9g}" if isinstance(value, float) else str(value)

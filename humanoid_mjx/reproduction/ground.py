@@ -161,16 +161,14 @@ def laws_of(config: Mapping[str, Mapping[str, float]]) -> dict[str, control.Law]
     """
     servo = control.make_law("pd", **config["servo"])
     kp, kd = (np.tile(gains, 2) for gains in (thesis.KP, thesis.KD))
+    printed = {"natural_frequency": np.sqrt(kp), "damping_ratio": kd / (2 * np.sqrt(kp))}
     roll = np.tile(np.array(thesis.JOINT_NAMES) == "hip_roll", 2)
+    held = {"stiffness": np.where(roll, HELD_KP, servo.stiffness), "damping": np.where(roll, HELD_KD, servo.damping)}
     return {
         "servo": servo,
         "computed torque": control.make_law("grounded", **config["servo"], **config["computed_torque"]),
-        "section 5.7": control.make_law("computed_torque").replace(
-            natural_frequency=np.sqrt(kp), damping_ratio=kd / (2 * np.sqrt(kp))
-        ),
-        "servo, rolls held": servo.replace(
-            stiffness=np.where(roll, HELD_KP, servo.stiffness), damping=np.where(roll, HELD_KD, servo.damping)
-        ),
+        "section 5.7": control.make_law("computed_torque").replace(**printed),
+        "servo, rolls held": servo.replace(**held),
     }
 
 

@@ -39,19 +39,11 @@ def standing(setting: Setting) -> list[Finding]:
     fixed = "the section's law treats the torso as fixed and ignores the ground; within the contacts computed torque "
     fixed += f"{alone['computed torque'].fate('stands')}, and a servo of {setting.config['servo']['stiffness']:g} "
     fixed += f"N m/rad {alone['servo'].fate('stands')}"
+    largest = "the largest push {} that it stands, N s: servo, computed torque within the contacts"
     impulses = f"of {listed(IMPULSES)} N s on the hips over 0.1 s"
-    return [
-        unprinted(stands, blind.seconds, fixed),
-        *(
-            unprinted(
-                f"the largest push {side} that it stands, N s: servo, computed torque within the contacts",
-                [taken[name, side] for name in PAIR],
-                impulses,
-            )
-            for side in SIDES
-        ),
-        judge_roll(*({i: pushes[name, "sideways", i] for i in IMPULSES} for name in ("servo", ROLL_HELD))),
-    ]
+    withstood = [unprinted(largest.format(side), [taken[name, side] for name in PAIR], impulses) for side in SIDES]
+    rolls = judge_roll(*({i: pushes[name, "sideways", i] for i in IMPULSES} for name in ("servo", ROLL_HELD)))
+    return [unprinted(stands, blind.seconds, fixed), *withstood, rolls]
 
 
 def judge_roll(free: Mapping[float, Any], held: Mapping[float, Any]) -> Finding:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from humanoid_mjx.report.web import MEDIA, anchor_of, facts, image, link, page, section, table, text
-from humanoid_mjx.reproduction.findings import MEANINGS
+from humanoid_mjx.reproduction.findings import MEANINGS, as_text
 from humanoid_mjx.reproduction.runner import FINDINGS, load_experiments, read_findings, read_runs
 
 
@@ -21,13 +21,14 @@ def findings_page(path: Path) -> str:
     titles = {name: experiment.title for name, experiment in load_experiments().items()}
     names = list(dict.fromkeys(str(finding["name"]) for finding in findings))
     parts = [_lead(findings), _contents(findings, names, titles)]
+    # A file is of the experiment whose name it begins with; of several of these, of the longest.
+    owners = [max((n for n in names if f"{file.stem}-".startswith(f"{n}-")), key=len, default="") for file in shown]
     for name in names:
         mine = [finding for finding in findings if finding["name"] == name]
-        own = [file for file in shown if _belongs(file.stem, name, names)]
-        shown = [file for file in shown if file not in own]
+        own = [file for file, owner in zip(shown, owners, strict=True) if owner == name]
         parts.append(section(_heading(name, titles), *map(_finding, mine), *map(_shown, own)))
-    if shown:
-        parts.append(section("More figures", *map(_shown, shown)))
+    if more := [file for file, owner in zip(shown, owners, strict=True) if not owner]:
+        parts.append(section("More figures", *map(_shown, more)))
     again = f"humanoid-mjx reproduce {' '.join(names)} --out {path.name}-again"
     parts += [section("Run it again", text(again, "pre")), *_origins(path)]
     return page("The thesis, reproduced", "".join(parts))
@@ -40,12 +41,6 @@ def _origins(path: Path) -> Iterable[str]:
         made = {"experiments": ", ".join(run["times"]), "seconds": f"{seconds:.1f}", "commit": run.get("commit")}
         made |= run.get("machine", {}) | run.get("versions", {})
         yield section("Where it was computed", facts(made.items()))
-
-
-def _belongs(stem: str, name: str, names: Sequence[str]) -> bool:
-    """True if a file is an experiment's: it begins with its name, and with no longer name of another."""
-    fits = [other for other in names if stem == other or stem.startswith(f"{other}-")]
-    return bool(fits) and max(fits, key=len) == name
 
 
 def _lead(findings: Sequence[Mapping[str, Any]]) -> str:
@@ -75,26 +70,14 @@ def _heading(name: str, titles: Mapping[str, str]) -> str:
 def _finding(finding: Mapping[str, Any]) -> str:
     verdict = str(finding["verdict"])
     kind = verdict if verdict in MEANINGS else "other"
-    compared = [("printed", _value(finding["printed"])), ("comes out", _value(finding["reproduced"]))]
+    compared = [("printed", as_text(finding["printed"])), ("comes out", as_text(finding["reproduced"]))]
     if finding["tolerance"] is not None:
-        compared.append(("tolerance", _value(finding["tolerance"])))
+        compared.append(("tolerance", as_text(finding["tolerance"])))
     return (
         f'<div class="finding">{text(str(finding["quantity"]), "h4")}{facts(compared)}'
         f'<p><span class="verdict {kind}">{text(_words(verdict), "span")}</span>: '
         f"{text(str(finding['why']), 'span')}</p></div>"
     )
-
-
-def _value(value: Any) -> str:
-    if value is None:
-        return "nothing"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list):
-        return ", ".join(map(_value, value))
-    if isinstance(value, dict):
-        return "; ".join(f"{key}: {_value(inner)}" for key, inner in value.items() if inner != "")
-    return str(value)
 
 
 def _words(verdict: str) -> str:

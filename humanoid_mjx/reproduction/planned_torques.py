@@ -139,17 +139,11 @@ def maxima(setting: Setting) -> Iterator[Finding]:
     off = np.array([np.abs(trial.maxima / marks - 1) for trial in trials])
     near = off <= NEAR
     order = np.lexsort((off.max(axis=1), -near.sum(axis=1)))
-    setting.table(
-        ("model", "greatest torque of joints 1 to 5, N m", "off by"),
-        (
-            (
-                trials[i].words,
-                ", ".join(f"{x:.4f}" for x in trials[i].maxima),
-                ", ".join(f"{100 * x:.2g} %" for x in off[i]),
-            )
-            for i in order[:20]
-        ),
-    )
+    rows = []
+    for i in order[:20]:
+        torques, shares = (f"{x:.4f}" for x in trials[i].maxima), (f"{100 * x:.2g} %" for x in off[i])
+        rows.append((trials[i].words, ", ".join(torques), ", ".join(shares)))
+    setting.table(("model", "greatest torque of joints 1 to 5, N m", "off by"), rows)
     best, fitting = trials[order[0]], np.flatnonzero(near.sum(axis=1) >= 4)
     values = _flat(RECOVERED), _flat(AS_PLANNED)
     for joint, mark in enumerate(marks):

@@ -120,11 +120,10 @@ def _switch(section: str, setting: Setting) -> list[Finding]:
     heavy = task.replace(mass=np.float32(HEAVY))
     trained = trained._replace(learner=trained.learner.replace(task=heavy))
     loaded = _measure(motion_of(trained, play(trained)), task)
-    quantity = (
-        f"section {section}: settling time, s, overshoot, degrees, energy, J, and peak torque, N m, of the switch"
-    )
+    measures = "settling time, s, overshoot, degrees, energy, J, and peak torque, N m"
     why = f"learned in {EPISODES} episodes; it takes {len(episode.actions)} decisions"
-    return [unprinted(quantity, [*map(_short, learned)], why), _involves_dynamics(section, learned, loaded)]
+    found = unprinted(f"section {section}: {measures}, of the switch", [*map(_short, learned)], why)
+    return [found, _involves_dynamics(section, learned, loaded)]
 
 
 def _involves_dynamics(section: str, learned: Switch, loaded: Switch) -> Finding:

@@ -62,13 +62,9 @@ def judge_errors(errors: Mapping[str, np.ndarray]) -> list[Finding]:
     found, left = three_digits(right[0]), " and ".join(f"{errors[law][0, 0]:.2g}" for law in LAWS[:2])
     why = f"at a cycle of {cycles[0]:g} ms the linear ones leave {left} rad; with the right model nothing is left that "
     why += "could disturb computed torque, so only they err"
-    alone = (
-        f"with the right model; at {cycles[-1]:g} ms {np.isinf(torque[-1]).sum()} of {len(MODELS)} legs are unstable"
-    )
-    beside = (
-        f"the right model leaves {found:g} rad; a linear controller leaves less in {(linear < torque)[0].sum()} of "
-    )
-    beside += f"{len(MODELS)} cases"
+    unstable, beaten, of = np.isinf(torque[-1]).sum(), (linear < torque)[0].sum(), len(MODELS)
+    alone = f"with the right model; at {cycles[-1]:g} ms {unstable} of {of} legs are unstable"
+    beside = f"the right model leaves {found:g} rad; a linear controller leaves less in {beaten} of {of} cases"
     name, wins, grows = "computed torque", (right <= linear[:, 0]).all(), right[0] < right[1] < 0.01
     exact, cycle = f"{name} with the right model, rad", f"{name} at cycles of {cycles[0]:g} and {cycles[1]:g} ms, rad"
     wrong, limited = f"{name} with {', '.join(list(MODELS)[1:])}, rad", (worse > right[0]).all()

@@ -109,7 +109,7 @@ def read_runs(out: Path) -> list[dict[str, Any]]:
 
 def _setting(experiment: Experiment, out: Path, overrides: Sequence[str], named: bool) -> Setting:
     """The experiment's config with the overrides; those of keys it lacks are errors only where it was named."""
-    config = json.loads(json.dumps(dict(experiment.config)))
+    config = dict(experiment.config)
     for override in overrides:
         key = override.partition("=")[0]
         part: Any = config

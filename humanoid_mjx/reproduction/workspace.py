@@ -14,16 +14,7 @@ from humanoid_mjx import dynamics, kinematics
 from humanoid_mjx.mechanics.gaits import Gait, gait
 from humanoid_mjx.mechanics.trajectories import rest_to_rest, thesis_quintics
 from humanoid_mjx.report.style import COLORS
-from humanoid_mjx.reproduction.findings import (
-    Finding,
-    Setting,
-    check,
-    compare,
-    departures,
-    experiment,
-    in_words,
-    listed,
-)
+from humanoid_mjx.reproduction.findings import Finding, Setting, changed, check, compare, experiment, in_words, listed
 from humanoid_mjx.reproduction.leg_values import over, planned, plot_joints
 from humanoid_mjx.reproduction.motor_sizing import body_weight
 from humanoid_mjx.robot.leg import Leg, cylinder_inertias
@@ -86,12 +77,12 @@ def reach(setting: Setting) -> Iterator[Finding]:
 
 def _place(quantity: str, degrees: np.ndarray, mark: Any, lengths: Any, used: Any, printed: Any) -> Finding:
     """The finding on one place of the toe, m, from the links' lengths and the values used and printed, by name."""
-    departs = departures({k: v for k, v in used.items() if k not in lengths}, printed)
+    changes = changed({k: v for k, v in used.items() if k not in lengths}, printed)
     place, script = (_toe(x, np.radians(degrees)[None])[0] for x in (lengths.values(), thesis.SCRIPT_LENGTHS))
     error, as_printed = (np.abs(x - mark).max() for x in (place, script))
     why = f"links of {listed(1e3 * x for x in lengths.values())} mm (printed are only the script's, with which it is "
     why += f"off by {1e3 * as_printed:.0f} mm), joints at {listed(degrees + 0.0)} degrees"
-    why += "".join(f", {change}" for change in departs) + f": off by {1e3 * error:.2g} mm"
+    why += "".join(f", {change}" for change in changes) + f": off by {1e3 * error:.2g} mm"
     return compare(quantity, mark, place, TOLERANCE_M, why, 5, values=(used, printed))
 
 
@@ -227,10 +218,8 @@ def judge_locking(hanging: float, standing: float) -> Finding:
     quantity = "the least stiffness of the straight leg without torques, N m/rad: hanging, carrying half of the body"
     claim = "in a singular posture the structure comes to a locking state, which gives safety (4.4.1)"
     why = f"a force along the straight leg needs no torque, whatever its size; but pushed by {HALF_WEIGHT:.1f} N it "
-    why += (
-        "buckles at any touch where the stiffness is negative, and hanging nothing holds the yaw. The rank is lost as "
-    )
-    why += "the joints can move there without the toe: a posture that is not singular holds them when the foot is held"
+    why += "buckles at any touch where the stiffness is negative, and hanging nothing holds the yaw. The rank is lost "
+    why += "as the joints can move there without the toe: a posture that is not singular holds them if the foot is held"
     found = [round(x, 4) + 0.0 for x in (hanging, standing)]
     return check(quantity, claim, found, min(found) >= 0, why, 0.0)
 

@@ -5,8 +5,7 @@ Frame i is reached from frame i-1 by `Rz(q_i + theta_offset_i) Tz(d_i) Tx(a_i) R
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -37,9 +36,7 @@ class Structure(NamedTuple):
     has_gravity: tuple[bool, ...]
 
 
-@partial(
-    jax.tree_util.register_dataclass, data_fields=("d", "a", "pseudo_inertia", "gravity"), meta_fields=("structure",)
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Chain:
     """A serial chain: a pytree whose structure is static and whose values can be traced, batched and differentiated.
@@ -55,7 +52,7 @@ class Chain:
     """Integrals of r r^T dm over each link, r = [x y z 1] in its own frame: kg m^2, kg m and kg."""
     gravity: Float[Array, "*batch 3"]
     """Acceleration in frame 0, m/s^2."""
-    structure: Structure
+    structure: Structure = field(metadata={"static": True})
 
     @classmethod
     def build(

@@ -21,24 +21,10 @@ from pydantic import Field
 
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder, meant, read_text
+from humanoid_mjx.robot import mjcf
 from humanoid_mjx.robot.description import BEND, Robot, Servo, add_imu, add_motors_and_imu, listed
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
-from humanoid_mjx.robot.mjcf import (
-    A_NUMBER,
-    PLAIN,
-    Quat,
-    checked,
-    content_of,
-    element,
-    name_bodies,
-    no_numbers,
-    option_no_number,
-    place_of,
-    read_spec,
-    set_upright,
-    turn_at_home,
-)
 from humanoid_mjx.robot.motors import driven, motors_on, own_drives
 from humanoid_mjx.robot.touching import add_ground, any_of_rows, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
@@ -137,8 +123,8 @@ class Declared(Robot):
         """The files, and the MJCF with an upright trunk."""
         source = _read(find(self.name))
         spec = _load(source.model)[0]
-        set_upright(spec, source.turn)
-        return source, spec, checked(spec.compile)[0]
+        mjcf.set_upright(spec, source.turn)
+        return source, spec, mjcf.checked(spec.compile)[0]
 
     def in_file(self) -> tuple[mujoco.MjSpec, str]:
         source, spec, model = self._upright()
@@ -148,14 +134,14 @@ class Declared(Robot):
             add_ground(spec, model, soles_of(model, self.feet, self.ground_geoms))
         for sensor in spec.sensors:
             spec.delete(sensor)
-        spec.worldbody.first_body().add_site(PLAIN, name="package_imu")
+        spec.worldbody.first_body().add_site(mjcf.PLAIN, name="package_imu")
         add_imu(spec, "package_imu")
         return spec, source.key
 
     def differences(self, timestep: float | None = None) -> tuple[Difference, ...]:
         source = _read(find(self.name))
         _, file, notes = _load(source.model)
-        found = differences(file, checked(self.spec(timestep).compile)[0], self, source.turn)
+        found = differences(file, mjcf.checked(self.spec(timestep).compile)[0], self, source.turn)
         return (*found, *notes)
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
@@ -177,13 +163,13 @@ class Declared(Robot):
         spec.option.timestep = timestep or model.opt.timestep
         looks = {"mass": 0.0, "contype": 0, "conaffinity": 0, "group": 3, "type": GEOM.mjGEOM_SPHERE}
         plane = looks | {"type": GEOM.mjGEOM_PLANE, "group": 0, "size": (0.0, 0.0, 0.05), "rgba": (0.9,) * 4}
-        ground = spec.worldbody.add_geom(PLAIN, name="ground", **plane)
+        ground = spec.worldbody.add_geom(mjcf.PLAIN, name="ground", **plane)
         for index, (foot, contact, place, radius) in enumerate(balls):
-            ball = foot.add_geom(PLAIN, name=f"{foot.name}_point{index}", size=(radius, 0.0, 0.0), pos=place, **looks)
-            pair = spec.add_pair(PLAIN, name=ball.name, geomname1=ground.name, geomname2=ball.name)
+            ball = foot.add_geom(mjcf.PLAIN, name=f"{foot.name}_point{index}", size=(radius, 0, 0), pos=place, **looks)
+            pair = spec.add_pair(mjcf.PLAIN, name=ball.name, geomname1=ground.name, geomname2=ball.name)
             pair.condim, pair.friction[:2], pair.margin = min(contact.condim, 3), contact.friction, contact.margin
             pair.solref, pair.solimp = contact.solref, contact.solimp
-        spec.worldbody.first_body().add_site(PLAIN, name="package_imu", group=3)
+        spec.worldbody.first_body().add_site(mjcf.PLAIN, name="package_imu", group=3)
         add_motors_and_imu(spec, dict(zip(source.joints, self.torque, strict=True)), "package_imu")
         return spec
 
@@ -193,7 +179,7 @@ class Source(NamedTuple):
 
     model: str
     joints: tuple[str, ...]
-    turn: Quat
+    turn: mjcf.Quat
     """Orientation of the trunk at home in the file."""
     key: str
     """Keyframe of the posture; none: it is given by angles."""
@@ -262,10 +248,10 @@ def _read(path: Path) -> Source:
         if not isinstance(data, dict):
             raise InputError(f"{path.name}: a robot is a mapping of keys such as model and feet.")
         declared = Declaration(**data)
-        model = place_of(declared.model, path)
+        model = mjcf.place_of(declared.model, path)
         if "\0" in declared.model or model.is_dir():
             raise InputError(f"{path.name}: model must be the path of an MJCF, got {declared.model!r}.")
-        return _understood(path, text, str(model), content_of(data, model))
+        return _understood(path, text, str(model), mjcf.content_of(data, model))
     except pydantic.ValidationError as error:
         raise InputError(f"{path.name}: {sentence(error, '', Declaration)}") from error
     except OSError as error:
@@ -282,7 +268,7 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
         joints = driven(model)
         home = _home(declared.home, model, joints)
         key = declared.home if isinstance(declared.home, str) else ""
-        turn = turn_at_home(model, key)
+        turn = mjcf.turn_at_home(model, key)
         torque, stiffness, damping = own_drives(model, joints)
         torque = _by_joint("torque", declared.torque, joints, torque)
         if wrong := [joint for joint, limit in zip(joints, torque, strict=True) if not 0 < limit < inf]:
@@ -320,12 +306,12 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
 def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[Difference]]:
     """Return the spec of an MJCF, every body named, its model, and what was noted."""
     what = f"model: {Path(file).name} is no MJCF that MuJoCo takes"
-    (spec, missing), noted = checked(lambda: read_spec(file), what)
-    name_bodies(spec)
+    (spec, missing), noted = mjcf.checked(lambda: mjcf.read_spec(file), what)
+    mjcf.name_bodies(spec)
     ours = (part.name for part in (*spec.geoms, *spec.sites) if OWN.fullmatch(part.name))
     if taken := [name for name in ours if (plane := spec.geom(name)) is None or plane.type != GEOM.mjGEOM_PLANE]:
         raise InputError(f"model: the package adds an element of the name {taken[0]!r}; rename that of the MJCF")
-    model, warned = checked(spec.compile, what)
+    model, warned = mjcf.checked(spec.compile, what)
     bodies = [body.name for body in spec.worldbody.bodies]
     free = [joint for joint in spec.joints if joint.type == JOINT.mjJNT_FREE]
     if len(bodies) != 1 or len(free) != 1 or free[0].parent.name != bodies[0]:
@@ -333,12 +319,12 @@ def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[Difference]]:
         raise InputError(f"model: a robot is one body with a free joint, and its child bodies; the bodies are: {there}")
     if fault := bad_timestep(spec.option.timestep):
         raise InputError(f"model: {fault}")
-    for field, wrong in no_numbers(model):
+    for field, wrong in mjcf.no_numbers(model):
         kind, _, name = field.partition("_")
-        where = element(model, kind, int(np.flatnonzero(any_of_rows(wrong))[0]))
-        raise InputError(f"model: the {name} of {where} must be {A_NUMBER}")
-    if option := option_no_number(model):
-        raise InputError(f"model: the option {option} must be {A_NUMBER}")
+        where = mjcf.element(model, kind, int(np.flatnonzero(any_of_rows(wrong))[0]))
+        raise InputError(f"model: the {name} of {where} must be {mjcf.A_NUMBER}")
+    if option := mjcf.option_no_number(model):
+        raise InputError(f"model: the option {option} must be {mjcf.A_NUMBER}")
     if any("NaN" in words for words in noted):  # MuJoCo takes a mass of NaN for none
         raise InputError(f"model: {Path(file).name} holds a NaN; write a number in its place")
     notes = [Difference("MuJoCo warns", words, "") for words in dict.fromkeys((*noted, *warned))]

@@ -70,8 +70,7 @@ def _of_sole(file: mujoco.MjModel, contact: Touching) -> Iterator[Row]:
     if contact.condim > 3:
         yield name, "condim of", f"{contact.condim}: resists twisting or rolling", "3: resists sliding"
     both = [geom for geom in (contact.one, contact.two) if geom >= 0]
-    acting = [getattr(file, f"geom_{what}", np.zeros(file.ngeom))[both] for what in ("adhesion", "surfacevel")]
-    if contact.surplus and any(map(np.any, [*acting, getattr(file, "pair_adhesion", 0)])):
+    if contact.surplus and any(map(np.any, (file.geom_adhesion[both], file.geom_surfacevel[both], file.pair_adhesion))):
         yield name, "adhesion or surfacevel of", "set", "none"
 
 
@@ -101,8 +100,7 @@ def _of_motor(m: mujoco.MjModel, motor: Any) -> str:
     kind = word(mujoco.mjtGain, m.actuator_gaintype[motor]).replace("fixed", "motor")
     kind = "position" if stiffness > 0 else "damper" if damping > 0 else kind
     limit = f"{high:g}" if low == -high else f"{low:g} to {high:g}"
-    none = np.zeros(len(m.actuator_trntype))
-    values = {key: np.abs(getattr(m, f"actuator_{key}", none)[motor]).max() for key in ("delay", "dampingpoly")}
+    values = {"delay": m.actuator_delay[motor], "dampingpoly": np.abs(m.actuator_dampingpoly[motor]).max()}
     values["bias"] = m.actuator_biasprm[motor, 0] * (m.actuator_biastype[motor] == BIAS.mjBIAS_AFFINE)
     filtered = f"{word(mujoco.mjtDyn, m.actuator_dyntype[motor])} of {m.actuator_dynprm[motor, 0]:g} s"
     parts = [f"{kind} of {limit} N m" if np.isfinite(high - low) else f"{kind} without limit"]

@@ -7,7 +7,6 @@ At `q = 0` the leg hangs along -y0 and z0 points sideways. The joint axes are th
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -38,9 +37,7 @@ SHANK_DIAMETER = thesis.BODY_MM["lower_leg_circumference"] * 1e-3 * thesis.SCALE
 """Thickness of links 4 and 5: the lower leg's."""
 
 
-@partial(
-    jax.tree_util.register_dataclass, data_fields=("d", "a", "pseudo_inertia", "gravity"), meta_fields=("structure",)
-)
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Leg(Chain):
     """The five-joint leg. The four sets of parameters are `physical`, `thesis`, `matlab_script` and `figure_7_5`."""

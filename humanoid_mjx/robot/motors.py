@@ -139,7 +139,7 @@ def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.nda
     carries = acts & ~held & (plain | ~anywhere(plain))
     weights = np.where(carries, np.where(anywhere(carries & np.isinf(limits)), 1.0, limits), 0.0)
     shares = weights / np.maximum(np.bincount(of, weights, len(joints))[of], 1e-9)
-    places = getattr(m, "actuator_ctrladr", np.arange(len(on)))[motors]
+    places = m.actuator_ctrladr[motors]
     constant, slopes = constant.copy(), np.zeros((4, len(constant), len(joints)))
     # Force = gain control + bias[0] + gear (bias[1] angle + bias[2] velocity), solved for the control where the force
     # is that of the joint's torque or where a position actuator rests; velocity actuators beside one get 0.

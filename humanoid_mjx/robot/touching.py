@@ -115,9 +115,8 @@ def _mixed(m: mujoco.MjModel, one: np.ndarray, two: np.ndarray) -> Iterator[Any]
 
 
 def _any(m: mujoco.MjModel, kind: str, *names: str) -> np.ndarray:
-    """True for elements where one of these fields is not 0. Older versions of MuJoCo lack some."""
-    fields = [getattr(m, f"{kind}_{name}", np.zeros((len(getattr(m, f"{kind}_gap")), 1))) for name in names]
-    return np.any([any_of_rows(field) for field in fields], axis=0)
+    """True for elements where one of these fields is not 0."""
+    return np.any([any_of_rows(getattr(m, f"{kind}_{name}")) for name in names], axis=0)
 
 
 def any_of_rows(values: Any) -> np.ndarray:

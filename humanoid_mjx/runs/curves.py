@@ -76,17 +76,9 @@ def read_learning(path: Path, config: Mapping[str, Any], summary: Mapping[str, n
         found[row, column] = curves[kept]
         return found
 
-    place = {int(number): index for index, number in enumerate(points)}
-    return Learning(
-        mode,
-        {axis: summary[axis][first] for axis in axes},
-        unit,
-        places,
-        names,
-        read,
-        len(seeds),
-        points.tolist(),
-        [place[each.point] for each in ranked(axes, summary, quickest)],
-        lambda name: by_point(summary, name)[1] if name in summary else None,
-        compared(mode, axes, summary, quickest),
-    )
+    def finals(name: str) -> np.ndarray | None:
+        return by_point(summary, name)[1] if name in summary else None
+
+    values, judged = {axis: summary[axis][first] for axis in axes}, compared(mode, axes, summary, quickest)
+    order = np.searchsorted(points, [each.point for each in ranked(axes, summary, quickest)]).tolist()
+    return Learning(mode, values, unit, places, names, read, len(seeds), points.tolist(), order, finals, judged)

@@ -25,7 +25,7 @@ import math
 import os
 import re
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -113,14 +113,12 @@ class RunFolder:
         with self.writing(name) as temporary, temporary.open("wb") as file:
             np.savez(file, allow_pickle=False, config=np.array(self.digest), **arrays)
 
-    @contextlib.contextmanager
-    def writing(self, name: str) -> Iterator[Path]:
+    def writing(self, name: str) -> contextlib.AbstractContextManager[Path]:
         """A temporary path whose file becomes `name` when the block ends well."""
         target = self.path / name
         if target.parent != self.path:  # a run folder that is gone stays so
             target.parent.mkdir(exist_ok=True)
-        with whole_file(target) as temporary:
-            yield temporary
+        return whole_file(target)
 
     def parts(self) -> list[Path]:
         """The files of finished runs."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from humanoid_mjx.config import parse
 from humanoid_mjx.config.axes import sweep_points
-from humanoid_mjx.files import SHOWN, lock, meant
+from humanoid_mjx.files import SHOWN, lock, meant, refusing
 from humanoid_mjx.runs.folder import damaged, disk_used, pools, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import all_runs, read_table, run_numbers
@@ -53,10 +53,8 @@ def list_runs(folder: Path) -> tuple[list[Listed], list[str]]:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder{meant(str(folder), 'run')}.")
-    try:
+    with refusing(folder, "read"):
         inside = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be read: {error.strerror}.") from error
     found, problems = [], []
     if (folder / "config.yaml").is_file():
         inside = [folder]
@@ -67,11 +65,10 @@ def list_runs(folder: Path) -> tuple[list[Listed], list[str]]:
         problems.append(f"{', '.join(map(str, foreign[:SHOWN]))}{more}: {kind} no config.yaml).")
     for path in [path for path in inside if path not in foreign]:
         try:
-            found.append(look_at(path))
+            with refusing(path, "read"):
+                found.append(look_at(path))
         except InputError as error:
             problems.append(str(error))
-        except OSError as error:
-            problems.append(f"{path}: cannot be read: {error.strerror}.")
     return sorted(found, key=lambda run: run.started), problems
 
 

@@ -82,10 +82,8 @@ def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: boo
 
     success = over_seeds("greedy_success", np.mean)
     greedy_return, greedy_steps = over_seeds("greedy_return"), over_seeds("greedy_steps")
-    whole, end = (
-        over_seeds("whole_steps" if quickest else "whole_return"),
-        over_seeds("steps" if quickest else "return"),
-    )
+    measure = "steps" if quickest else "return"
+    whole, end = over_seeds(f"whole_{measure}"), over_seeds(measure)
     costs = (greedy_steps, whole, end) if quickest else (-greedy_return, -whole, -end)
     ranks = np.nan_to_num(np.stack([-np.round(success, 3), *costs], axis=1), nan=np.inf, posinf=np.inf, neginf=np.inf)
     values = zip(*(summary[axis][order[starts]] for axis in axes), strict=True) if axes else repeat(())

@@ -224,16 +224,18 @@ def _student(freedom: Any) -> Any:
     return stdtrit(freedom, 1 - ERROR / 2)
 
 
+def mean_known(values: Num[np.ndarray, "n ..."], axis: int = 0) -> Float[np.ndarray, "..."]:
+    """The mean over an axis of the values that are finite; NaN where none is."""
+    return np.ma.filled(np.ma.masked_invalid(values).mean(axis=axis, dtype=float), np.nan)
+
+
 def mean_interval(values: Float[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
     """Student's interval of the mean of many episodes, the first axis, whose NaN entries are left out; NaN where fewer
     than two others remain."""
-    known = np.isfinite(values)
-    n = known.sum(axis=0)
-    count, enough = np.maximum(n, 2), n > 1
-    mean = np.where(known, values, 0.0).sum(axis=0) / count
-    square = np.where(known, (values - mean) ** 2, 0.0).sum(axis=0)
-    half = np.where(enough, _student(count - 1) * np.sqrt(square / (count - 1) / count), np.nan)
-    return np.asarray(mean - half), np.asarray(mean + half)
+    known = np.ma.masked_invalid(values)
+    n = known.count(axis=0)
+    mean, half = known.mean(axis=0), _student(n - 1) * known.std(axis=0, ddof=1) / np.sqrt(n)
+    return np.ma.filled(mean - half, np.nan), np.ma.filled(mean + half, np.nan)
 
 
 def iqm_interval(values: Num[np.ndarray, " n"]) -> tuple[float, float]:

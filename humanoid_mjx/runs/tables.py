@@ -14,6 +14,7 @@ from jaxtyping import Int
 from humanoid_mjx.config import config_digest
 from humanoid_mjx.runs.archive import misplaced
 from humanoid_mjx.runs.folder import REWRITTEN, RunFolder, damaged, parts, read_arrays, read_config
+from humanoid_mjx.runs.statistics import mean_known
 from humanoid_mjx.spec import InputError
 
 LAST_SHARE = 0.1
@@ -209,16 +210,10 @@ def scores(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The scores of finished runs, (runs,) each: means over the last part of their curves, over the whole of some as
     `whole_...`, and scores at their end."""
     curves = named(arrays, "curve")
-    last = {name: _mean(curve[:, -max(1, round(curve.shape[1] * LAST_SHARE)) :]) for name, curve in curves.items()}
-    whole = {f"whole_{name}": _mean(curves[name]) for name in WHOLE if name in curves}
-    return last | whole | named(arrays, "final")
-
-
-def _mean(curve: np.ndarray) -> np.ndarray:
-    """Mean over a curve's known points; NaN where none is known."""
-    known = np.isfinite(curve)
-    total, count = np.where(known, curve, 0.0).sum(axis=1), known.sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+    parts = {name: curve[:, -max(1, round(curve.shape[1] * LAST_SHARE)) :] for name, curve in curves.items()}
+    parts |= {f"whole_{name}": curves[name] for name in WHOLE if name in curves}
+    means = {name: mean_known(part, axis=1).astype(np.float32) for name, part in parts.items()}
+    return means | named(arrays, "final")
 
 
 def _hyper(labels: Labels, point: np.ndarray) -> dict[str, pa.DictionaryArray]:

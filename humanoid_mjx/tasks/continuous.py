@@ -158,17 +158,10 @@ class Tabulated(ContinuousTask):
         executed = jnp.where(obeys, chosen, random)
         inner, reward, terminated = self.finite.step(inner, executed, step_key)
         obs = self.finite.observe(inner)
-        return State(
-            data=(inner, length + 1),
-            obs=obs,
-            reward=jnp.asarray(reward, jnp.float32),
-            terminated=jnp.asarray(terminated),
-            truncated=~terminated & (length + 1 >= self.finite.max_episode_steps),
-            success=jnp.asarray(terminated),
-            final_obs=obs,
-            metrics={},
-            executed=self.joint_action(executed).astype(jnp.int32),
-        )
+        reward, terminated = jnp.asarray(reward, jnp.float32), jnp.asarray(terminated)
+        truncated = ~terminated & (length + 1 >= self.finite.max_episode_steps)
+        executed = self.joint_action(executed).astype(jnp.int32)
+        return State((inner, length + 1), obs, reward, terminated, truncated, terminated, obs, {}, executed)
 
 
 def as_continuous(task: Task) -> ContinuousTask:

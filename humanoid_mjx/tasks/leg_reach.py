@@ -133,17 +133,9 @@ class LegReach(ContinuousTask):
         terms = self.reward_terms(body)
         broken = world.diverged
         over = body.decisions * self.period >= self.duration - self.period / 2
-        obs = self.observe(body)
-        return State(
-            data=body,
-            obs=obs,
-            reward=jnp.where(broken, -1.0, sum(terms.values())),
-            terminated=broken,
-            truncated=over & ~broken,
-            success=self.settled(body).all() & ~broken,
-            final_obs=obs,
-            metrics=terms,
-        )
+        obs, reward = self.observe(body), jnp.where(broken, -1.0, sum(terms.values()))
+        success = self.settled(body).all() & ~broken
+        return State(body, obs, reward, broken, over & ~broken, success, final_obs=obs, metrics=terms)
 
     def drive(self, data: Body, action: Array) -> tuple[Physics, Controller]:
         return self._plant(data.mass), self.controller(self.setpoint_after(data, self.as_numbers(action)))

@@ -36,9 +36,7 @@ class Squat(PostureSwitch):
     """
 
     physics: str = Field("tree", description="tree, mjx-jax, mjx-warp, mujoco, or your own as package.module:Class")
-    control: Control = Field(
-        GroundedLaw(natural_frequency=20.0), description="the law that drives the joints to their set-points"
-    )
+    control: Control = GroundedLaw(natural_frequency=20.0)
     posture: Literal["squat"] = Field("squat", description="upright, down and up again")
     places: int = Field(3, ge=2, le=50, description="points of the grid from upright to down, for each joint")
     timestep: float = Field(0.004, gt=0, le=0.02, description="s of physics and controller")

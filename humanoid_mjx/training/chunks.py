@@ -247,7 +247,7 @@ class Work:
 
     def _run(self) -> None:
         try:
-            with compute.counting_compiles() as compiles:
+            with compute.timing_compiles() as compiles:
                 self._train()
             if not self.left:
                 self._events.put(Ended(self.key, compiles.seconds))

@@ -58,17 +58,12 @@ def runs_at_once(group: Group, pool_size: int | None = None, width: int | None =
         )
     if device.platform != "cpu":
         return fit * devices
-    return min(fit, devices * (width or max(1, CPU_CACHE_BYTES // run_bytes(group))))
+    return min(fit, devices * (width or max(1, CPU_CACHE_BYTES // group.bytes)))
 
 
 def slots(group: Group, room: int) -> int:
     """Return the number of a group's runs that train at once in so much `room`."""
     return min(room, len(group.first_runs))
-
-
-def run_bytes(group: Group) -> int:
-    """Bytes of training state that one run holds."""
-    return group.bytes
 
 
 @lru_cache(maxsize=16)
@@ -80,7 +75,7 @@ def training_bytes(group: Group) -> int:
         program = jax.make_jaxpr(advance)(learner, group.one_run, jax.ShapeDtypeStruct((), np.int32))
         return working_bytes(program.jaxpr)
 
-    return 2 * run_bytes(group) + kept.remembered("bytes", kept.about(learner), working)
+    return 2 * group.bytes + kept.remembered("bytes", kept.about(learner), working)
 
 
 ARRANGED = {"broadcast_in_dim", "iota", "reshape", "squeeze"}
@@ -146,7 +141,7 @@ def disk_bytes(plan: Plan, slots: Sequence[int]) -> int:
     those that train side by side. Tables are counted as if they were not compressed; figures are not counted."""
     finished = sum(len(group.runs) * finished_bytes(group) for group in plan.groups)
     finished = finished * plan.num_runs // sum(len(group.runs) for group in plan.groups)
-    under_way = [run_bytes(group) * count for group, count in zip(plan.groups, slots, strict=True)]
+    under_way = [group.bytes * count for group, count in zip(plan.groups, slots, strict=True)]
     return OVERHEAD + finished + KEPT_TWICE * max(under_way)
 
 

@@ -4,7 +4,6 @@ A worker is an actor that has one GPU, or one CPU core where the cluster has no 
 driver through Ray's object store, so that workers need no access to the run folder.
 """
 
-import importlib
 import logging
 import os
 import socket
@@ -21,10 +20,9 @@ import numpy as np
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept
 from humanoid_mjx.config import parse
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, package
 from humanoid_mjx.training import chunks
 from humanoid_mjx.training.chunks import Arrays, Chunk, Desk, Event, Here, Note, UnderWay, Work, key_of
-from humanoid_mjx.training.cost import run_bytes
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import counted
 from humanoid_mjx.user_code import in_words
@@ -222,7 +220,7 @@ class OnRay:
             rows = np.isin(arrays["slots"], runs) if "slots" in arrays else np.ones(1, bool)
             if rows.any():
                 stored.append((where, {key: array[rows] if array.ndim else array for key, array in arrays.items()}))
-        size = run_bytes(self.plan.groups[chunk.group]) * len(chunk.runs)
+        size = self.plan.groups[chunk.group].bytes * len(chunk.runs)
         every_s = max(chunks.CHECKPOINT_EVERY_S, size / STATE_BYTES_PER_S)
         given = Given(desk.finished & set(chunk.runs), desk.watched, stored, every_s, LOOK_EVERY_S)
         stream = worker.train.options(num_returns="streaming").remote(chunk, given)
@@ -295,10 +293,7 @@ def _ray(address: str) -> Any:
     """
     for name, value in SETTINGS.items() if address == LOCAL else ():
         os.environ.setdefault(name, value)
-    try:
-        ray = importlib.import_module("ray")
-    except ImportError as error:
-        raise InputError("--ray needs the package ray; pip install 'humanoid-mjx[ray]' brings it.") from error
+    ray = package("ray", "ray", "--ray")
     with suppress(AttributeError):  # it prints a paragraph on each worker that is lost
         ray._private.worker.print_to_stdstream = lambda *_, **__: None
     return ray

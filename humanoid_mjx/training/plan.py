@@ -11,7 +11,7 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept, rng
-from humanoid_mjx.config import Config
+from humanoid_mjx.config import Config, set_below
 from humanoid_mjx.config.axes import sweep_points
 from humanoid_mjx.learners import Learner, make_learner
 from humanoid_mjx.runs.tables import Labels
@@ -261,26 +261,11 @@ def build(config: Config, point: Mapping[str, Any]) -> Learner:
         return make_learner(name, task, record=config.record, **budget, **parts["learner"])
 
 
-def set_dotted(parts: dict[str, Any], key: str, value: Any) -> None:
-    """Set `parts["task"]["sensors"]["encoder_noise"]` by the key `task.sensors.encoder_noise`; nested dicts are copied.
-
-    Raises:
-      InputError: a piece of the key on the way names a value.
-    """
-    *parents, last = key.split(".")
-    for parent in parents:
-        below = parts.get(parent, {})
-        if not isinstance(below, dict):
-            raise InputError(f"sweep.axes.{key}: {parent} holds a value and no keys.")
-        parts[parent] = parts = dict(below)
-    parts[last] = value
-
-
 def at_point(config: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """A config as plain values, at the point of its sweep with these values by dotted key."""
     alone = {key: value for key, value in config.items() if key != "sweep"}
     for key, value in values.items():
-        set_dotted(alone, key, value)
+        set_below(alone, key.split("."), value, f"sweep.axes.{key}")
     return alone
 
 

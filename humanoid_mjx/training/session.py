@@ -250,12 +250,9 @@ class Session:
         write_tables(self.folder, self.plan.labels())
         if (finished := len(self.finished)) == self.earlier.get("runs_finished"):
             return
-        session = {
-            "started": self.started,
-            "wall_s": round(start - self.began, 3),
-            "compile_s": round(self.compile_s, 3),
-        } | self.pace.rates(self.plan, self.folder.path)
-        sessions = [*self.earlier.get("sessions", []), session]
+        rates = self.pace.rates(self.plan, self.folder.path)
+        times = {"wall_s": round(start - self.began, 3), "compile_s": round(self.compile_s, 3)}
+        sessions = [*self.earlier.get("sessions", []), {"started": self.started} | times | rates]
         provenance = {
             **self.made_by,
             "config": self.folder.digest,
@@ -266,9 +263,8 @@ class Session:
             "runs": self.plan.num_runs,
             "runs_finished": finished,
             "started": sessions[0]["started"],
-            "wall_s": round(sum(each["wall_s"] for each in sessions), 3),
-            "compile_s": round(sum(each["compile_s"] for each in sessions), 3),
-            **self.pace.rates(self.plan, self.folder.path),
+            **{name: round(sum(each[name] for each in sessions), 3) for name in times},
+            **rates,
             "sessions": sessions,
         }
         self.folder.write_json("provenance.json", provenance)

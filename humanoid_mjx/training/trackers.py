@@ -1,6 +1,5 @@
 """Trackers, which follow points of a sweep while it trains: TensorBoard, Weights & Biases, MLflow or your own."""
 
-import importlib
 import os
 import re
 import shutil
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from humanoid_mjx.runs.folder import RunFolder
-from humanoid_mjx.spec import InputError, find
+from humanoid_mjx.spec import InputError, find, package
 from humanoid_mjx.training.curves import Curves, chosen_points
 from humanoid_mjx.training.plan import Plan, at_point
 from humanoid_mjx.user_code import in_words
@@ -127,7 +126,7 @@ class TensorBoard(Tracker):
     """Event files in the run folder, a sub-folder for each point. A resumed sweep writes them anew."""
 
     def __init__(self) -> None:
-        self.writer = _package("tensorboardX", "tensorboard").SummaryWriter
+        self.writer = package("tensorboardX", "tensorboard", "--tracker tensorboard").SummaryWriter
 
     def on_start(self, folder: Path, config: dict[str, Any], points: Mapping[str, Mapping[str, Any]]) -> None:
         self.folder = folder / "tensorboard"
@@ -154,7 +153,7 @@ class WandB(Tracker):
     """
 
     def __init__(self) -> None:
-        self.wandb = _package("wandb", "wandb")
+        self.wandb = package("wandb", "wandb", "--tracker wandb")
 
     def on_start(self, folder: Path, config: dict[str, Any], points: Mapping[str, Mapping[str, Any]]) -> None:
         place = {"project": os.environ.get("WANDB_PROJECT", PROJECT), "group": folder.name}
@@ -189,7 +188,7 @@ class MLflow(Tracker):
     """
 
     def __init__(self) -> None:
-        self.mlflow = _package("mlflow", "mlflow")
+        self.mlflow = package("mlflow", "mlflow", "--tracker mlflow")
 
     def on_start(self, folder: Path, config: dict[str, Any], points: Mapping[str, Mapping[str, Any]]) -> None:
         self.client = self.mlflow.MlflowClient()
@@ -224,11 +223,3 @@ class MLflow(Tracker):
         for run in (*self.runs.values(), self.sweep):
             self.client.set_terminated(run, "FINISHED" if finished else "KILLED")
         return f"mlflow ui --backend-store-uri {self.mlflow.get_tracking_uri()}"
-
-
-def _package(name: str, tracker: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        pip = f"pip install 'humanoid-mjx[{tracker}]' brings it"
-        raise InputError(f"--tracker {tracker} needs the package {name}; {pip}.") from error

@@ -9,7 +9,7 @@ from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import check_overrides, config_digest, dump_yaml, load, parse
 from humanoid_mjx.files import names
-from humanoid_mjx.training.plan import make_plan, resolved
+from humanoid_mjx.training.plan import at_point, make_plan, resolved
 
 BASE = """
 name: small
@@ -198,6 +198,14 @@ def test_a_swept_key_that_is_set_is_swept_no_more(write):
     assert load(swept, ["learner.epsilon=0.3", "learner.discount=0.7"]).sweep is None
     again = load(swept, ["learner.epsilon=0.3", "sweep.axes.learner.epsilon=[0.4]"])
     assert again.sweep.axes["learner.epsilon"] == [0.4]
+
+
+def test_an_axis_below_null_makes_a_mapping_and_changes_nothing_that_was_given():
+    given = {"task": {"name": "walk", "randomise": None}}
+    assert at_point(given, {"task.randomise.mass": 0.1})["task"]["randomise"] == {"mass": 0.1}
+    assert given == {"task": {"name": "walk", "randomise": None}}
+    with pytest.raises(InputError, match=r"^sweep\.axes\.task\.name\.x: name holds a value"):
+        at_point(given, {"task.name.x": 1})
 
 
 def test_missing_config_names_those_that_ship():

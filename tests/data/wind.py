@@ -1,12 +1,11 @@
 """Physics of a user's own: native MuJoCo in a wind that blows along x."""
 
-from humanoid_mjx.physics.base import Batches
 from humanoid_mjx.physics.native import Native
 from humanoid_mjx.spec import traced
 
 
 class Windy(Native):
-    batches = Batches(cpu=16, gpu=16)
+    batch = 16
 
     wind: float = traced(0.5, description="N")
 

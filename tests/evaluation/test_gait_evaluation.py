@@ -14,9 +14,8 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.config import parse
 from humanoid_mjx.evaluation.gait.figures import FIGURES
 from humanoid_mjx.evaluation.gait.measure import settings_of
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_worlds, scenarios_of
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_scenarios, scenarios_of
 from humanoid_mjx.evaluation.policy import find_policy, in_world, policies_of_best, save_policy
-from humanoid_mjx.physics.base import Batches
 from humanoid_mjx.physics.native import Native
 from humanoid_mjx.robot.lower_body import LowerBody
 from humanoid_mjx.spec import InputError
@@ -59,7 +58,7 @@ first_policy = jax.jit(lambda learner, key: learner.policy(learner.init(key)))
 def played(learner, agent="greedy", seconds=0.5, seed=5):
     """The figures of four episodes under each of `ASKED`, (4, 4): one program for all; weights are untrained."""
     policy = first_policy(learner, rng.key(seed))
-    found = play_worlds([learner], jax.tree.map(lambda x: x[None], policy), ASKED, 4, seconds, (agent,))[0][agent]
+    found = play_scenarios(learner, jax.tree.map(lambda x: x[None], policy), ASKED, 4, seconds, (agent,))[agent]
     assert list(found) == list(FIGURES)
     return {name: figure[0] for name, figure in found.items()}
 
@@ -103,7 +102,7 @@ def test_commands_stay_whatever_the_task_draws():
 
 def test_episodes_are_the_same_however_they_are_cut(monkeypatch):
     whole = played(calm(learner_of()))
-    monkeypatch.setattr(Native, "batches", Batches(cpu=3 * len(ASKED), gpu=3 * len(ASKED)))
+    monkeypatch.setattr(Native, "batch", 3 * len(ASKED))
     parts = played(calm(learner_of()))
     np.testing.assert_array_equal(whole["success"], parts["success"])
     np.testing.assert_allclose(whole["seconds"], parts["seconds"], atol=0.021)  # a decision more or less
@@ -167,7 +166,7 @@ def test_all_seeds_of_the_best_point(runs):
     assert float(changed.learner.task.friction) == 0.5 and float(changed.learner.task.randomise.mass) == np.float32(0.3)
     assert best.config.task["randomise"] is None and best.learner.task.randomise is None
     one = jax.tree.map(lambda x: x[None], best.policy)
-    gaits = gaits_of(play_worlds([calm(best.learner)], one, ASKED, 4, 0.3)[0], ASKED)
+    gaits = gaits_of(play_scenarios(calm(best.learner), one, ASKED, 4, 0.3), ASKED)
     assert [gait.scenario for gait in gaits] == [asked.name for asked in ASKED]
     assert len(gaits[0].figures["drift"].seeds) == 1
 

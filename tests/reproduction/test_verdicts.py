@@ -22,7 +22,7 @@ from humanoid_mjx.reproduction import (
 from humanoid_mjx.reproduction import decision_process as process
 from humanoid_mjx.reproduction import joint_ways as ways
 from humanoid_mjx.reproduction import workspace as space
-from humanoid_mjx.reproduction.findings import unprinted
+from humanoid_mjx.reproduction.findings import as_text, unprinted
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
 
@@ -228,3 +228,8 @@ def test_gains_against_their_bound():
         (1e4, ["consistent", "differs"]),
     ):
         assert [f.verdict for f in gains.judge_gains(kp, factor * kp)] == verdicts_of
+
+
+def test_values_are_written_to_all_printed_digits():
+    assert as_text([0.272241706, 1e-5, 3, None]) == "0.272241706, 1e-05, 3, nothing"
+    assert as_text({"largest": 0.1 + 0.2, "median": (1.0, True), "unit": ""}) == "largest: 0.3; median: 1, True"

@@ -20,6 +20,7 @@ from humanoid_mjx.physics.native import _team
 from humanoid_mjx.report import page
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.training import cost
+from humanoid_mjx.training.plan import Group
 
 FEET = "feet: [foot_0_0, foot_1_0, foot_0_1, foot_1_1]\n"
 HOME = 'home: {"hip.*": 35, "knee.*": -70}\n'
@@ -492,8 +493,9 @@ def test_info_and_the_report_show_the_table_and_mujocos_warnings(tmp_path, monke
         "MuJoCo warns compiler attribute",
     ):
         assert words in " ".join(shown.get().split()), words
-    for slow in ("run_bytes", "training_bytes", "disk_bytes", "runs_at_once", "slots"):
+    for slow in ("training_bytes", "disk_bytes", "runs_at_once", "slots"):
         monkeypatch.setattr(cost, slow, lambda *_, **__: 1)
+    monkeypatch.setattr(Group, "bytes", 1)
     with console.capture() as shown:
         show_info("stand_cpu", (f"task.robot={name}",), False)
     assert "option timestep 0.002 0.004" in " ".join(shown.get().split())

@@ -137,6 +137,6 @@ def test_a_physics_of_ones_own_moves_the_body():
         for k in range(5):
             state = step(state, rng.key(k))
         ends.append(state.data.world.qvel)
-    assert task.simulator.batches.here == 16 and task.arithmetic == "arrays"
+    assert task.simulator.batch == 16 and task.arithmetic == "arrays"
     gained = np.asarray(ends[1] - ends[0])
     assert 0.01 < gained[:, 0].mean() < 0.1 and abs(gained[:, 1].mean()) < 0.005

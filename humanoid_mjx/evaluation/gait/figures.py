@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Num
 
 from humanoid_mjx.evaluation.gait.tally import HOLD, Tally, as_seen
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.runs.statistics import Estimate, mean_interval, rate_interval
+from humanoid_mjx.runs.statistics import Estimate, mean_interval, mean_known, rate_interval
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import BoolScalar, FloatScalar
 
@@ -164,9 +164,7 @@ def summarised(episodes: Mapping[str, Float[np.ndarray, "seeds episodes"]]) -> d
     """The figures of one command from those of each episode, in the order of `FIGURES`."""
     names = [name for name in FIGURES if name in episodes]
     values = np.stack([np.asarray(episodes[name], float) for name in names], axis=-1)
-    known = np.isfinite(values)
-    total, number = np.where(known, values, 0.0).sum(axis=1), known.sum(axis=1)
-    means = np.divide(total, number, out=np.full(total.shape, np.nan), where=number > 0)
+    known, means = np.isfinite(values), mean_known(values, axis=1)
     intervals = [mean_interval(of_seed) for of_seed in values]
     found = {}
     for column, name in enumerate(names):

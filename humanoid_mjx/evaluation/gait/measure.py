@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from humanoid_mjx.evaluation.gait.figures import Gait
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_worlds, scenarios_of, walking_task
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_scenarios, scenarios_of, walking_task
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, policies_of_best
 from humanoid_mjx.learners.rollout import AGENTS
 from humanoid_mjx.tasks.legged.commands import Velocity
@@ -79,7 +79,7 @@ def _measure(policies: list[StoredPolicy], episodes: int, tell: Callable[[int, i
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
     task = walking_task(learner.task)
     scenarios = scenarios_of(task.robot)
-    (found,) = play_worlds([learner], stacked, scenarios, episodes, float(task.duration), AGENTS, tell)
+    found = play_scenarios(learner, stacked, scenarios, episodes, float(task.duration), AGENTS, tell)
     beyond = [each.name for each in scenarios if _beyond(task, each)]
     return Measured(policies, gaits_of(found, scenarios), beyond)
 

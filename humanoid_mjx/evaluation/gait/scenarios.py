@@ -5,7 +5,7 @@ length. Of the motion only the sums of `gait.tally` are stored.
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,7 +19,7 @@ from humanoid_mjx.evaluation.gait import tally as sums
 from humanoid_mjx.evaluation.gait.figures import FIGURES, Gait, figures, summarised
 from humanoid_mjx.evaluation.gait.tally import Asked, Tally, heading_of, sample_of, wrapped
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.learners.rollout import AGENTS, agent, decision_keys, start
+from humanoid_mjx.learners.rollout import AGENTS, Choose, agent, decision_keys, start
 from humanoid_mjx.physics.base import World, where
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError
@@ -96,19 +96,19 @@ def walking_task(task: Task) -> LeggedTask:
     return task
 
 
-def play_worlds(
-    learners: Sequence[Learner],
+def play_scenarios(
+    learner: Learner,
     policies: Any,
     scenarios: Sequence[Scenario],
     episodes: int,
     seconds: float,
     agents: Sequence[str] = ("greedy",),
     tell: Callable[[int, int], None] = lambda done, total: None,
-) -> list[dict[str, dict[str, np.ndarray]]]:
-    """The figures of every held-out episode under every scenario, by agent and name of the figure, of each world.
+) -> dict[str, dict[str, np.ndarray]]:
+    """The figures of every held-out episode under every scenario, by agent and name of the figure.
 
     Args:
-      learners: whose tasks, of one structure, are the worlds that are played side by side, with their pushes.
+      learner: whose task is played, with its pushes.
       policies: what was learned, a pytree whose leaves lead with an axis of training seeds.
       scenarios: such as `scenarios_of` the robot.
       seconds: length of an episode, s.
@@ -121,37 +121,30 @@ def play_worlds(
     Raises:
       InputError: the task moves no body by commands.
     """
-    tasks: list[Any] = [walking_task(learner.task) for learner in learners]
-    task = tasks[0]
-    learners = [  # no task gives another command before an episode ends
-        learner.replace(task=task.replace(command=task.command.replace(every=jnp.float32(jnp.inf))))
-        for learner, task in zip(learners, tasks, strict=True)
-    ]
-    worlds = jax.tree.map(lambda *values: jnp.stack([jnp.asarray(value) for value in values]), *learners)
+    task: Any = walking_task(learner.task)
+    # No task gives another command before an episode ends.
+    learner = learner.replace(task=task.replace(command=task.command.replace(every=jnp.float32(jnp.inf))))
     seeds = len(jax.tree.leaves(policies)[0])
     chosen = [(name, seed) for name in agents for seed in (range(seeds) if name == "greedy" else (0,))]
     rows = np.array([seed for _, seed in chosen])
     policies = jax.tree.map(lambda leaf: jnp.asarray(leaf)[rows], policies)
     numbers = jnp.array([AGENTS.index(name) for name, _ in chosen], jnp.int32)
     commands = _Commands(*(jnp.array(column, float) for column in list(zip(*scenarios, strict=True))[1:]))
-    side_by_side = len(learners) * len(chosen) * len(scenarios)
-    block = min(episodes, max(task.simulator.batches.here // side_by_side, 1))
+    side_by_side = len(chosen) * len(scenarios)
+    block = min(episodes, max(task.simulator.batch // side_by_side, 1))
     keys = held_out_keys(-(-episodes // block) * block)
     run, decisions = _program(task.arithmetic), jnp.int32(round(seconds / task.period))
     parts = []
     for first in range(0, len(keys), block):
-        parts.append(jax.device_get(run(worlds, policies, numbers, commands, keys[first : first + block], decisions)))
+        parts.append(jax.device_get(run(learner, policies, numbers, commands, keys[first : first + block], decisions)))
         tell(side_by_side * min(first + block, episodes), side_by_side * episodes)
     found = {name: np.concatenate([part[name] for part in parts], axis=-1)[..., :episodes] for name in parts[0]}
     of = {name: np.array([index for index, (one, _) in enumerate(chosen) if one == name]) for name in agents}
-    return [
-        {name: {key: found[key][world][of[name]] for key in FIGURES} for name in agents}
-        for world in range(len(learners))
-    ]
+    return {name: {key: found[key][of[name]] for key in FIGURES} for name in agents}
 
 
 def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenario]) -> list[Gait]:
-    """The result of `play_worlds` for one world with intervals, of each agent under each scenario."""
+    """The result of `play_scenarios` with intervals, of each agent under each scenario."""
     return [
         Gait(name, scenario.name, scenario.command, summarised({key: x[:, row] for key, x in of_agent.items()}))
         for name, of_agent in found.items()
@@ -161,26 +154,25 @@ def gaits_of(found: dict[str, dict[str, np.ndarray]], scenarios: Sequence[Scenar
 
 @lru_cache
 def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
-    """(learners, policies, agents' numbers, commands, keys, decisions) -> figures by name, (learners, agents, commands,
-    keys)."""
+    """(learner, policies, agents' numbers, commands, keys, decisions) -> figures by name, (agents, commands, keys)."""
 
     def episode(
         learner: Learner, policy: Any, number: IntScalar, command: _Commands, key: Key[Array, ""], decisions: IntScalar
     ) -> dict[str, FloatScalar]:
-        decide = lambda index, loop: _decide(learner, index, policy, number, command, key, loop)  # noqa: E731
-        loop, task = jax.lax.fori_loop(0, decisions, decide, _begin(learner, key)), walking_task(learner.task)
+        task = walking_task(learner.task)
+        decide = partial(_decide, task, agent(learner, policy, number), command, key)
+        loop = jax.lax.fori_loop(0, decisions, decide, _begin(task, key))
         turns, mass = jnp.isfinite(command.turn_at), (loop.state.data.plant or task.plant).mass
         found = figures(loop.tally, command.command, turns, loop.fallen, task.robot, mass, task.simulator.step_s)
         return {name: jnp.asarray(value, jnp.float32) for name, value in found.items()}
 
-    for mapped in ([4], [3], [1, 2], [0]):
+    for mapped in ([4], [3], [1, 2]):
         episode = jax.vmap(episode, in_axes=tuple(0 if place in mapped else None for place in range(6)))
     return jitted(episode, arithmetic)
 
 
-def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:
-    task = walking_task(learner.task)
-    state = start(learner.env, key)
+def _begin(task: LeggedTask, key: Key[Array, ""]) -> _Loop:
+    state = start(task, key)
     view = task.view(state.data, None, jnp.zeros_like(state.data.offsets))
     sensed = jax.eval_shape(lambda: task.simulator.sense(state.data.world, jnp.zeros_like(state.data.offsets)))
     blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), sensed)
@@ -192,16 +184,9 @@ def _begin(learner: Learner, key: Key[Array, ""]) -> _Loop:
 
 
 def _decide(
-    learner: Learner,
-    index: IntScalar,
-    policy: Any,
-    number: IntScalar,
-    command: _Commands,
-    key: Key[Array, ""],
-    loop: _Loop,
+    task: LeggedTask, choose: Choose, command: _Commands, key: Key[Array, ""], index: IntScalar, loop: _Loop
 ) -> _Loop:
     """Decision number `index` of one episode."""
-    task = walking_task(learner.task)
     seconds = index * task.period
     heading = loop.tally.turned + wrapped(heading_of(loop.view.rotation) - loop.tally.last.heading)
     begun = jnp.asarray(seconds > command.turn_at - task.period / 2)
@@ -210,8 +195,7 @@ def _decide(
     asked = command.command.at[2].set(jnp.where(begun, rate, command.command[2]))
     state = task.commanded(loop.state, loop.view, asked)
     act_key, step_key = decision_keys(key, index)
-    action = agent(learner, policy, number)(state, act_key)
-    state, view, sensed = task.step_watched(state, task.as_numbers(action), step_key)
+    state, view, sensed = task.step_watched(state, task.as_numbers(choose(state, act_key)), step_key)
     fallen = loop.fallen | state.terminated
     interval = task.simulator.step_s
     window = sums.window_samples(task.gait.period if task.gait else None, interval)

@@ -14,6 +14,7 @@ from humanoid_mjx.evaluation.live.body import Grab as Grab
 from humanoid_mjx.evaluation.live.stage import LiveMujoco, Stage
 from humanoid_mjx.evaluation.policy import StoredPolicy, in_world, on_plane
 from humanoid_mjx.learners import Learner
+from humanoid_mjx.physics.base import where
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.continuous import State
 
@@ -132,8 +133,7 @@ def _all_decided(*args: Any) -> State:
     """`decided`, where an episode that has ended stays as it is."""
     before: State = args[3]
     after = decided(*args)[0]
-    return jax.tree.map(partial(jnp.where, before.done), before, after)
+    return where(before.done, before, after)
 
 
-_chosen = jax.jit(jax.vmap(lambda first, one, other: jax.tree.map(partial(jnp.where, first), one, other)))
-"""(first, one, other) -> states of `one` where `first`, else of `other`."""
+_chosen = jax.jit(jax.vmap(where))

@@ -90,7 +90,8 @@ def _names_at(states: States) -> dict[str, Any]:
         names |= dict(zip("noap", names["T"][:3].swapaxes(0, 1), strict=True))
     names |= {"KP": thesis.KP, "PSEUDO_INERTIAS": thesis.PSEUDO_INERTIAS}
     names |= {"script_centroids": dynamics.script_centroids(states.lengths)}
-    names |= {"determinant": _determinant, "least_eigenvalue": _least_eigenvalue}
+    names |= {"determinant": lambda matrix: np.linalg.det(np.moveaxis(matrix, -1, 0))}
+    names |= {"least_eigenvalue": lambda matrix: np.linalg.eigvalsh(np.moveaxis(matrix, -1, 0))[:, 0]}
     return names | {name: partial(function, states) for name, function in FUNCTIONS.items()}
 
 
@@ -112,11 +113,6 @@ def solved(states: States) -> np.ndarray:
         place = evaluate(["toe_x", "toe_y", "toe_z"], there)
         best = np.where(np.linalg.norm(place - target, axis=0) < np.linalg.norm(best - target, axis=0), place, best)
     return best
-
-
-def path_1(states: States) -> np.ndarray:
-    """Equation 4.8: the pose as A1 A4 A5, (4, 4, n)."""
-    return np.einsum("abn,bcn,cdn->adn", *states.true["A"][[0, 3, 4]])
 
 
 def derivative(states: States, i: int, j: int) -> np.ndarray:
@@ -149,24 +145,13 @@ def stretched(states: States, joint: int, low: float, high: float) -> np.ndarray
 
 MATHEMATICS = ("sqrt", "exp", "sin", "cos", "arctan", "arctan2", "einsum")
 FUNCTIONS = {
-    **{
-        f.__name__: f
-        for f in (better_sign, solved, path_1, derivative, kinetic_energy, planned_acceleration, stretched)
-    },
+    **{f.__name__: f for f in (better_sign, solved, derivative, kinetic_energy, planned_acceleration, stretched)},
     "mass_matrix": lambda states, *faults: dynamics.mass_matrix(states.model, states.q, faults),
     "coefficients": lambda states, *faults: dynamics.velocity_coefficients(states.model, states.q, faults),
     "velocity_term": lambda states, *faults: dynamics.coriolis(states.model, states.q, states.qd, faults),
     "gravity": lambda states, **changes: dynamics.gravity(states.model._replace(**changes), states.q),
 }
 """Functions of formulas, which are given the states first."""
-
-
-def _determinant(matrix: np.ndarray) -> np.ndarray:
-    return np.linalg.det(np.moveaxis(matrix, -1, 0))
-
-
-def _least_eigenvalue(matrix: np.ndarray) -> np.ndarray:
-    return np.linalg.eigvalsh(np.moveaxis(matrix, -1, 0))[:, 0]
 
 
 def _turned(angle: np.ndarray) -> np.ndarray:

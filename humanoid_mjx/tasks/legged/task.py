@@ -167,17 +167,8 @@ class LeggedTask(LeggedBody):
             after = after.under(told, self.period, angle)
         over = after.decisions * self.period >= self.duration - self.period / 2
         next_view = view._replace(episode=after)
-        obs = self.seen(next_view)
-        state = State(
-            data=self.remembered(next_view),
-            obs=obs,
-            reward=jnp.asarray(sum(terms.values())),
-            terminated=fallen,
-            truncated=over & ~fallen,
-            success=~fallen,
-            final_obs=obs,
-            metrics=terms,
-        )
+        data, obs, reward = self.remembered(next_view), self.seen(next_view), jnp.asarray(sum(terms.values()))
+        state = State(data, obs, reward, fallen, over & ~fallen, success=~fallen, final_obs=obs, metrics=terms)
         return state, view, seen
 
     def offsets(self, before: Episode, command: Float[Array, " joints"]) -> Float[Array, " joints"]:

@@ -84,12 +84,9 @@ class Oscillators(TableSteps):
 
     def _params(self, command: Float[Array, "3"], robot: Robot) -> pattern_generator.Params:
         moving = moves(command)
-        return pattern_generator.Params(
-            self.motion,
-            frequency=jnp.where(moving, 1.0 / self.cycle_time(command), 0.0),
-            amplitude=jnp.where(moving, self.amplitude(command, robot), 0.0),
-            response=self.response,
-        )
+        frequency = jnp.where(moving, 1.0 / self.cycle_time(command), 0.0)
+        amplitude = jnp.where(moving, self.amplitude(command, robot), 0.0)
+        return pattern_generator.Params(self.motion, frequency, amplitude, response=self.response)
 
 
 @lru_cache

@@ -61,9 +61,7 @@ class Walk(LeggedTask):
     action_shares: tuple[float, ...] = traced(
         (), strict=False, description="factors on action_scale by kind of joint; empty: the robot's own"
     )
-    smoothing: float = traced(
-        0.5, ge=0, lt=1, description="exponential smoothing of the offsets: weight of the last one"
-    )
+    smoothing: float = traced(0.5, ge=0, lt=1)
     sensors: Sensors = Field(SENSORS, description="errors of the sensors")
     command: Velocity = Field(COMMAND, description="commanded velocity and turn rate")
     gait: Gaits = Field(Steps(), description="clock and open-loop steps")
