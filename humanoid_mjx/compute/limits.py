@@ -1,4 +1,4 @@
-"""Limits of the machine: cores, memory, and whether GPU kernels run."""
+"""Limits of the machine: cores and memory."""
 
 import os
 import re

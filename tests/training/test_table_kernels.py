@@ -154,6 +154,13 @@ def test_the_scan_trains_what_the_kernel_of_a_gpu_cannot(values, words, monkeypa
     assert words in why_no_kernel(make_learner("tabular_q", make_task("joint_reach"), **values))
 
 
+def test_a_gpu_leaves_kernels_to_xla_that_triton_compiles_for_minutes(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(fallback, "why_none", lambda: None)
+    assert "Triton takes minutes" in why_no_kernel(make_learner("tabular_q", make_task("posture_switch")))
+    assert why_no_kernel(make_learner("tabular_q", make_task("joint_reach"), method="n_step")) is None
+
+
 def test_without_a_gpu_of_nvidia_xla_trains(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "rocm")
     assert "not for 'rocm'" in why_no_kernel(make_learner("tabular_q", make_task("joint_reach")))
