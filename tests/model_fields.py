@@ -67,10 +67,11 @@ REFUSED_ELSEWHERE = (
 )
 
 IDLE = (
-    # They act through what is refused alone: other types of motors, activations, elliptic cones, fluids, limits of
+    # They act through what is refused alone: other types of motors, activations, fluids, limits of
     # tendons, flags for overriding and sleeping, noslip, signed distance fields.
     *of("actuator", "dynprm biasprm cranklength actlimited actrange actearly acc0 length0 lengthrange group ctrlspec"),
-    *("jnt_actgravcomp", "pair_solreffriction", "tree_sleep_policy"),
+    *("jnt_actgravcomp", "tree_sleep_policy"),
+    "pair_solreffriction",  # acts in elliptic cones alone, and is refused there
     *of("tendon", "actfrcrange range margin solref_lim solimp_lim solref_fri solimp_fri lengthspring springyield"),
     *of("tendon", "type length0 invweight0 group width rgba"),
     *of("opt", "wind magnetic o_margin o_solref o_solimp o_friction sleep_tolerance sdf_initpoints sdf_iterations"),

@@ -101,9 +101,10 @@ class MjxJax(MujocoPhysics):
             return self._read(data.sensordata, self.robot.point_sensors)
         contact = data._impl.contact
         total = jnp.zeros(len(balls))
-        for dim in np.unique(contact.dim):  # a pyramid's edges, or the normal alone; their forces sum to the normal one
+        elliptic = self.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+        for dim in np.unique(contact.dim):  # a pyramid's edges, whose forces sum to the normal one, or the normal first
             rows = np.flatnonzero((contact.dim == dim) & (contact.efc_address >= 0))
-            edges = contact.efc_address[rows, None] + np.arange(max(2 * (dim - 1), 1))
+            edges = contact.efc_address[rows, None] + np.arange(1 if elliptic else max(2 * (dim - 1), 1))
             of_corner = (contact.geom[rows][:, :, None] == balls).any(axis=1)
             total += data._impl.efc_force[edges].sum(axis=1) @ of_corner.astype(data.qpos.dtype)
         return total

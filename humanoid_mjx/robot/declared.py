@@ -98,6 +98,7 @@ class Declaration(Spec):
     contacts: Literal["feet", "model"] = Field(
         "feet", description="what touches: the feet the ground and nothing else, or also all bodies as the model says"
     )
+    cone: Literal["pyramidal", "elliptic"] = Field("pyramidal", description="friction cones; elliptic ones take longer")
 
 
 class Declared(Robot):
@@ -110,6 +111,7 @@ class Declared(Robot):
     stiffness: tuple[float, ...] = listed("of the servo, N m/rad")
     damping: tuple[float, ...] = listed("of the servo, N m s/rad")
     contacts: Literal["feet", "model"] = Field("feet", description="what touches")
+    cone: Literal["pyramidal", "elliptic"] = Field("pyramidal", description="friction cones")
 
     @property
     def servo(self) -> Servo:
@@ -160,6 +162,7 @@ class Declared(Robot):
             for ball in balls_of(model, data, contact.two)
         ]
         strip(spec, self.contacts == "feet")
+        spec.option.cone = getattr(mujoco.mjtCone, f"mjCONE_{self.cone.upper()}")
         spec.option.timestep = timestep or model.opt.timestep
         looks = {"mass": 0.0, "contype": 0, "conaffinity": 0, "group": 3, "type": GEOM.mjGEOM_SPHERE}
         plane = looks | {"type": GEOM.mjGEOM_PLANE, "group": 0, "size": (0.0, 0.0, 0.05), "rgba": (0.9,) * 4}
@@ -290,7 +293,7 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
             raise InputError(f"mirror: no body, joint or geom has {idle[0]!r} in its name")
         values = {"feet": feet, "home": tuple(home), "turns": turns, "mirror": mirror, "bend": declared.bend}
         values |= {"torque": tuple(torque), "stiffness": tuple(stiffness), "damping": tuple(damping)}
-        values |= {"ground_geoms": geoms, "contacts": declared.contacts, "content": content}
+        values |= {"ground_geoms": geoms, "contacts": declared.contacts, "cone": declared.cone, "content": content}
         if declared.shares is not None:
             shares = _by_joint("shares", declared.shares, joints, np.ones(len(joints)))
             first = np.minimum(images("joints", joints, mirror, joints), np.arange(len(joints))).tolist()

@@ -219,7 +219,7 @@ def _under_hull(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[t
 
 def strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
     """Remove what the package replaces: actuators, sensors, keyframes, planes, contacts with the world and, with
-    `feet_only`, all others; the integrator, the cone, a solver that stops early, and what is switched off."""
+    `feet_only`, all others; the integrator, a solver that stops early, and what is switched off."""
     world = {geom.name for geom in spec.worldbody.geoms}
     pairs = [pair for pair in spec.pairs if feet_only or {pair.geomname1, pair.geomname2} & world]
     planes = [geom for geom in spec.worldbody.geoms if geom.type == GEOM.mjGEOM_PLANE]
@@ -230,8 +230,8 @@ def strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
     option, off = spec.option, mujoco.mjtDisableBit
     if option.integrator in (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
         option.disableflags &= ~int(off.mjDSBL_EULERDAMP)  # these damp the joints implicitly
-    option.integrator, option.cone = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtCone.mjCONE_PYRAMIDAL
-    option.solver, option.disableactuator = mujoco.mjtSolver.mjSOL_NEWTON, 0
+    option.integrator, option.solver = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtSolver.mjSOL_NEWTON
+    option.disableactuator = 0
     option.iterations, option.ls_iterations = max(option.iterations, 100), max(option.ls_iterations, 50)
     option.tolerance, option.ls_tolerance = min(option.tolerance, 1e-8), min(option.ls_tolerance, 0.01)
     option.disableflags &= ~int(off.mjDSBL_CONTACT | off.mjDSBL_ACTUATION | off.mjDSBL_CONSTRAINT)

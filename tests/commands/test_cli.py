@@ -99,7 +99,8 @@ ROBOT = """<mujoco><option {option}/><worldbody><geom type="plane" size="0 0 1"/
     [
         ('integrator="RK4"', None),
         ('integrator="implicit"', 'the implicit integrator; to change: integrator="implicitfast"'),
-        ('cone="elliptic"', 'elliptic friction cones; to change: cone="pyramidal"'),
+        ('cone="elliptic"', None),
+        ('/><default><geom condim="6"/></default><option', "and 'foot'; to change: condim=\"3\""),
     ],
 )
 def test_info_shows_a_robot_and_what_a_tree_cannot_take(option, refusal, tmp_path):
@@ -111,7 +112,7 @@ def test_info_shows_a_robot_and_what_a_tree_cannot_take(option, refusal, tmp_pat
     at = [done.output.index(each) for each in (*words, "contacts      1 of plane and box")]
     assert at == sorted(at)
     assert (refusal or "tree takes it as it is") in done.output
-    assert ("with `contacts: feet`" in done.output) == ("elliptic" in option)
+    assert ("with `contacts: feet`" in done.output) == ("condim" in option)
     assert "stand and walk need" not in done.output
 
 

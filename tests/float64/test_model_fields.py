@@ -36,11 +36,17 @@ def choices(model):
     model.jnt_limited[2] = model.jnt_actfrclimited[2] = model.actuator_ctrllimited[0] = 0
 
 
+def elliptic(model):
+    """Elliptic cones of other numbers."""
+    numbers(model)
+    model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+
+
 @cache
 def other(change):
     """The model after a change."""
     model = make()
-    {"numbers": numbers, "choices": choices}[change](model)
+    {"numbers": numbers, "choices": choices, "elliptic": elliptic}[change](model)
     return model
 
 
@@ -54,7 +60,7 @@ class Other(TreePhysics):
         return other(self.change)
 
 
-@pytest.mark.parametrize("change", ["numbers", "choices"])
+@pytest.mark.parametrize("change", ["numbers", "choices", "elliptic"])
 def test_everything_read_acts_as_in_mujoco(change):
     robot = Other(change=change)
     qpos, qvel, torque = map(jnp.asarray, worlds())

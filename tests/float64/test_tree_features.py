@@ -2,11 +2,18 @@
 
 import mujoco
 import numpy as np
-from tree_robots import PLANAR, SHAPES, converged, dropped, native, qacc_of
+import pytest
+from tree_robots import PLANAR, QUADRUPED, SHAPES, converged, dropped, native, qacc_of, states
 
 from humanoid_mjx.mechanics.tree.folding import fold
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.step import Values
+
+HINGED = """<mujoco><option {option}/><worldbody>
+    <geom type="plane" size="0 0 1" friction="0.6"/>
+    <body pos="0 0 0.3"><freejoint/><geom type="capsule" size="0.03 0.1" mass="1"/>
+    <body pos="0.15 0 0"><joint axis="0 1 0" range="-60 60" limited="true" damping="0.05" frictionloss="0.01"/>
+    <geom size="0.05" mass="0.4"/></body></body></worldbody></mujoco>"""
 
 
 def test_steps_are_mujocos():
@@ -15,10 +22,13 @@ def test_steps_are_mujocos():
 
 
 def agrees(xml, count=300, seed=0):
-    """Accelerations, and positions and velocities after a step."""
     model = converged(mujoco.MjModel.from_xml_string(xml))
+    agree(model, dropped(model, count, seed))
+
+
+def agree(model, at):
+    """Accelerations, and positions and velocities after a step."""
     tree = fold(read_tree(model))
-    at = dropped(model, count, seed)
     qpos, qvel, qacc, settled = qacc_of(tree, 1)(Values(), *at)
     assert settled.all()
     expected = native(model, *at)
@@ -32,6 +42,30 @@ def agrees(xml, count=300, seed=0):
         atol = 1e-9 * size[i] * model.opt.timestep + 1e-12
         np.testing.assert_allclose(qvel[i], data.qvel, rtol=0.0, atol=atol)
         np.testing.assert_allclose(qpos[i], data.qpos, rtol=0.0, atol=atol)
+
+
+LEAVES, STICKS, SLIDES = (
+    getattr(mujoco.mjtConstraintState, f"mjCNSTRSTATE_{name}") for name in ("SATISFIED", "QUADRATIC", "CONE")
+)
+
+
+def zones(model, at):
+    """MuJoCo's states of the contacts with elliptic cones."""
+    found, data = set(), mujoco.MjData(model)
+    for data.qpos, data.qvel, data.ctrl in zip(*at, strict=True):
+        mujoco.mj_forward(model, data)
+        found.update(data.efc_state[data.efc_type == mujoco.mjtConstraint.mjCNSTR_CONTACT_ELLIPTIC].tolist())
+    return found
+
+
+@pytest.mark.parametrize(("xml", "impratio"), [(QUADRUPED, 10.0), (HINGED, 100.0)], ids=["quadruped", "hinged"])
+def test_elliptic_cones_are_mujocos(xml, impratio):
+    """With unequal friction and without, of bodies with each other, and beside the dry friction of a joint."""
+    model = converged(mujoco.MjModel.from_xml_string(xml.format(option="")))
+    model.opt.cone, model.opt.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, impratio
+    at = states(model, 300) if xml is QUADRUPED else dropped(model, 100)
+    agree(model, at)
+    assert zones(model, at) >= {STICKS, SLIDES} | ({LEAVES} if xml is QUADRUPED else set())
 
 
 def test_shapes_on_a_plane_are_mujocos():
@@ -51,12 +85,7 @@ def test_boxes_that_touch_each_other_are_mujocos():
 
 
 def test_free_bodies_turn_by_runge_and_kuttas_method():
-    xml = """<mujoco><option integrator="RK4" timestep="0.01"/><worldbody>
-    <geom type="plane" size="0 0 1" friction="0.6"/>
-    <body pos="0 0 0.3"><freejoint/><geom type="capsule" size="0.03 0.1" mass="1"/>
-    <body pos="0.15 0 0"><joint axis="0 1 0" range="-60 60" limited="true" damping="0.05"/>
-    <geom size="0.05" mass="0.4"/></body></body></worldbody></mujoco>"""
-    agrees(xml, count=50, seed=1)
+    agrees(HINGED.format(option='integrator="RK4" timestep="0.01"'), count=50, seed=1)
 
 
 def test_upright_capsules_rub():

@@ -133,7 +133,6 @@ def test_no_other_flag_is_let_through():
         ("opt_density", 1.2, "a fluid"),
         ("opt_viscosity", 1.2, "a fluid"),
         ("opt_noslip_iterations", 1, "noslip iterations"),
-        ("opt_cone", 1, "elliptic friction cones"),
         ("opt_integrator", 2, "the implicit integrator"),
         ("opt_integrator", 4, "the discrete integrator"),
         ("opt_disableactuator", 1, "disabled motors"),
@@ -155,6 +154,17 @@ def test_other_refusals_name_the_element(field, value, words):
     model = make()
     put(model, field, value)
     assert any(said.startswith(words) for said in words_of(model)), words_of(model)
+
+
+def test_friction_of_its_own_softness_is_refused_where_it_acts():
+    """In elliptic cones alone: a pyramid has one softness."""
+    model = make()
+    model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    before = moved(model)
+    assert not words_of(model)
+    model.pair_solreffriction[0] = -400.0, -30.0
+    assert np.abs(moved(model) - before).max() > 1e-6
+    assert words_of(model) == ["the solreffriction of pair 'toe'"]
 
 
 SHAPES = {

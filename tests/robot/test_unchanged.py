@@ -236,10 +236,12 @@ def test_a_gain_that_is_no_number_is_refused(tmp_path):
         robot_of(tmp_path, elements, yaml=f"model: base.xml\n{HOME}{FEET}")
 
 
-def test_the_tree_slides_as_the_unmodified_file(tmp_path):
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_the_tree_slides_as_the_unmodified_file(cone, tmp_path):
     """Feet of four kinds: with priority, soft with a margin, without friction, and by an explicit pair."""
     pair = '<contact><pair geom1="floor" geom2="foot_1_1" friction=".2 .5" solref=".03 1"/></contact></mujoco>'
-    robot_of(tmp_path, ("</mujoco>", pair))
+    option = f'<option cone="{cone}" impratio="10"'
+    assert robot_of(tmp_path, ("</mujoco>", pair), ("<option", option), yaml=f"{YAML}cone: {cone}\n").cone == cone
     spec = mujoco.MjSpec.from_file(str(tmp_path / "base.xml"))
     for name, values in {
         "foot_0_0": {"priority": 1, "friction": (0.1, 0, 0)},
@@ -263,17 +265,18 @@ def test_the_tree_slides_as_the_unmodified_file(tmp_path):
     np.testing.assert_allclose(world.qpos[:3], slide(robot, own), atol=1e-4)
 
 
-ONE_LEG = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 .1" condim="1"/>
+ONE_LEG = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 .1"/>
   <body name="trunk" pos="0 0 .4"><freejoint/><geom size=".1" mass="1" contype="0" conaffinity="0"/>
     <body name="leg"><joint name="hip" axis="0 1 0"/>
-      <geom name="foot" size=".02" pos="0 0 -.3" mass=".1" condim="1"/></body>
+      <geom name="foot" size=".02" pos="0 0 -.3" mass=".1"/></body>
   </body></worldbody></mujoco>"""
 
 
-def test_mjx_feels_a_foot_without_friction(tmp_path):
-    """Its contact has one row, not the four of a pyramid."""
-    (tmp_path / "base.xml").write_text(ONE_LEG)
-    (tmp_path / "robot.yaml").write_text("model: base.xml\nfeet: [foot]\ntorque: 5\n")
+@pytest.mark.parametrize(("cone", "condim"), [("pyramidal", 1), ("elliptic", 3)])
+def test_mjx_feels_a_foot(cone, condim, tmp_path):
+    """Without friction its contact has one row, not the four of a pyramid; with a cone the first of three."""
+    (tmp_path / "base.xml").write_text(ONE_LEG.replace("<geom", f'<geom condim="{condim}"'))
+    (tmp_path / "robot.yaml").write_text(f"model: base.xml\nfeet: [foot]\ntorque: 5\ncone: {cone}\n")
     physics = make_physics("mjx-jax", robot=str(tmp_path / "robot.yaml"))
     data = mujoco.MjData(physics.model)
     data.qpos[2] = 0.319

@@ -10,7 +10,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int32
 
 BITS = 31
 """Flags in a word, whose sign stays 0."""
@@ -18,8 +17,9 @@ BITS = 31
 WEIGHTS = np.left_shift(1, np.arange(BITS, dtype=np.int32))[:, None, None]
 
 
-def pack(flags: Any) -> list[Int32[Array, "..."]]:
-    """The words of a pytree of flags (..., lanes, 1); flags of one number of lanes share words."""
+def pack(flags: Any) -> list[Any]:
+    """The words of a pytree of flags (..., lanes, 1), of which those of one number of lanes share words. Behind them
+    come its arrays that are no flags, as they are."""
     found = []
     for own in _by_lanes(flags).values():
         each = jnp.concatenate([flag.reshape(-1, *flag.shape[-2:]) for flag in own])
@@ -27,18 +27,21 @@ def pack(flags: Any) -> list[Int32[Array, "..."]]:
         found.append(
             jnp.stack([jnp.where(part, WEIGHTS[: len(part)], 0).sum(axis=0, dtype=np.int32) for part in parts])
         )
-    return found
+    return [*found, *(leaf for leaf in jax.tree.leaves(flags) if leaf.dtype != bool)]
 
 
-def unpack(words: list[Int32[Array, "..."]], like: Any) -> Any:
+def unpack(words: list[Any], like: Any) -> Any:
     """The flags of these words; `like`: flags of the same shapes."""
     leaves, structure = jax.tree.flatten(like)
-    rest = {}
-    for lanes, own in zip(_by_lanes(like), words, strict=True):
+    rest, others = {}, iter(words[len(_by_lanes(like)) :])
+    for lanes, own in zip(_by_lanes(like), words, strict=False):
         flags = (own[:, None] & WEIGHTS) != 0
         rest[lanes] = flags.reshape(-1, lanes, 1)
     found = []
     for leaf in leaves:
+        if leaf.dtype != bool:
+            found.append(next(others))
+            continue
         lanes, count = leaf.shape[-2], math.prod(leaf.shape[:-2])
         found.append(rest[lanes][:count].reshape(leaf.shape))
         rest[lanes] = rest[lanes][count:]
@@ -47,6 +50,6 @@ def unpack(words: list[Int32[Array, "..."]], like: Any) -> Any:
 
 def _by_lanes(flags: Any) -> dict[int, list[Any]]:
     found: dict[int, list[Any]] = {}
-    for flag in jax.tree.leaves(flags):
+    for flag in (leaf for leaf in jax.tree.leaves(flags) if leaf.dtype == bool):
         found.setdefault(flag.shape[-2], []).append(flag)
     return found

@@ -1,7 +1,8 @@
 """Contacts of a tree with the ground and with itself: places, directions and stiffness.
 
 See "Computation" in MuJoCo's documentation. A contact's frame is its normal and two tangents; its pyramid of friction
-has a facet along the normal plus and minus each tangent, weighted by the coefficient of friction.
+has a facet along the normal plus and minus each tangent, weighted by the coefficient of friction. `cones` has elliptic
+cones.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,19 +17,23 @@ from humanoid_mjx.mechanics.tree.algebra import (
     EYE,
     FEW_PAIRS,
     column,
+    compose,
     cross,
     dot,
     entry_at,
     numbers,
     scale,
+    symmetric,
+    transposed,
     turn,
     velocity_at,
 )
 from humanoid_mjx.mechanics.tree.boxes import between_boxes
+from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.segments import Segment, nearest_points, segments
 
-Friction = tuple[Any, Any] | None
+Friction = tuple[Any, Any] | Cone | None
 
 SMALLEST_SQUARE = 1e-30
 """The square of MuJoCo's smallest length (mjMINVAL)."""
@@ -61,7 +66,9 @@ class Touch(NamedTuple):
         return turn(self.frame, velocity_at(motion, self.place)) + self.offset
 
     def facets(self, v: Any) -> Any:
-        """A vector of the contact's frame along each facet of the pyramid."""
+        """A vector of the contact's frame along each facet of the pyramid, or in the frame of an elliptic cone."""
+        if isinstance(self.friction, Cone):
+            return self.friction.stretched(v)
         x, y, z = (v[..., axis, :, :] for axis in range(3))
         if self.friction is None:
             return x[..., None, :, :]
@@ -69,8 +76,15 @@ class Touch(NamedTuple):
         return column([x + y, x - y, x + z, x - z])
 
     def active(self, residuals: Any) -> Any:
-        """Mask of the facets that push, by their residuals."""
+        """Mask of the facets that push, by their residuals; of an elliptic cone the residual itself, or one that does
+        not push."""
+        if isinstance(self.friction, Cone):
+            return self.only(self.close[..., None, :, :], residuals)
         return self.close[..., None, :, :] & (residuals < 0.0)
+
+    def only(self, there: Any, active: Any) -> Any:
+        """`active` where the contact is there, and else what it is of one that does not push."""
+        return jnp.where(there, active, EYE[0]) if isinstance(self.friction, Cone) else active & there
 
     def without_flag(self) -> "Touch":
         """The same contact, of which the reference acceleration says that no facet pushes where it is not close.
@@ -84,14 +98,25 @@ class Touch(NamedTuple):
     def force(self, v: Any) -> Any:
         """The force on the second body, N, at this residual; both in the contact's frame."""
         facets = self.facets(v)
+        if isinstance(self.friction, Cone):
+            return -turn(self.stiffness(self.active(facets)), v)
         pushes = jnp.where(self.active(facets), -scale(self.weight, facets), 0.0)
         if self.friction is None:
             return jnp.concatenate([pushes, jnp.zeros_like(pushes), jnp.zeros_like(pushes)], axis=-3)
         (mu, nu), (a, b, c, d) = self.friction, (pushes[..., facet, :, :] for facet in range(4))
         return column([a + b + c + d, mu * (a - b), nu * (c - d)])
 
+    def root(self, active: Any) -> Any:
+        """R, (..., 3, 3, lanes, 1), of which `R^T R` is the stiffness of a contact with an elliptic cone."""
+        cone, weight = self.friction, jnp.sqrt(self.weight)[..., None, None, :, :]
+        assert isinstance(cone, Cone)
+        return weight * cone.root(active) * column([np.ones((1, 1)), cone.first, cone.second])[..., None, :, :, :]
+
     def stiffness(self, active: Any) -> Any:
         """Minus the derivative of the force by the residual while these facets push, in the contact's frame."""
+        if isinstance(self.friction, Cone):
+            rows = self.root(active)
+            return symmetric(compose(transposed(rows), rows))
         on = jnp.where(active, self.weight[..., None, :, :], 0.0)
         if self.friction is None:
             return on[..., None, :, :] * np.diag([1.0, 0.0, 0.0])[..., None, None]
@@ -280,7 +305,7 @@ def _between(first: tuple[Segment, Any], second: tuple[Segment, Any]) -> tuple[A
 def _touch(surface: st.Surface, place: Any, frame: Any, distance: Any, velocity: Any, friction: Friction) -> Touch:
     inverse = surface.inverse_weight
     inverse = numbers(inverse) if isinstance(inverse, float | st.Table) else inverse
-    if friction is not None:
+    if friction is not None and not isinstance(friction, Cone):
         square = friction[0] * friction[0]
         inverse = 2.0 * square * inverse * (1.0 + square) / surface.impratio
     close, weight, push = _soft(surface.softness, distance, surface.margin, inverse)

@@ -1,12 +1,14 @@
 """The lowest point of the contact problem along a line, along which it is quadratic piece by piece."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from humanoid_mjx.mechanics.tree.algebra import dot, turn
+from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.contacts import Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import product
 from humanoid_mjx.mechanics.tree.pairs import Slots
@@ -16,6 +18,10 @@ from humanoid_mjx.mechanics.tree.structure import Tree
 MOST_ROUNDS, NEAR = 8, 1e-3
 """Newton steps along a line, and by which share the last may change its length. A step that ends early is still one
 downhill. At this share a thousandth of a Go1's worlds did not settle with 4 steps, and all did with 6 and 8."""
+
+ROUNDS_WITH_CONES, LOW = 10, 0.1
+"""Those with elliptic cones, where the problem may bend along all of the line, and by which share of its first value
+the slope may then miss zero."""
 
 
 class Rows(NamedTuple):
@@ -36,6 +42,7 @@ def lowest_share(
     problem: Problem,
     slots: Slots | None,
     active: Active,
+    now: Active,
     before: Sequence[Any],
     after: Sequence[Any],
     known: Any,
@@ -44,14 +51,17 @@ def lowest_share(
 
     The slope along the way is zero at `after` as long as the same facets push. So only facets that change add to it:
     no large forces cancel, and float32 finds a facet that changes even where little is gained. `active`: the facets
-    that push in the equations that `after` solves. `known`: true where the share is of no use.
+    that push in the equations that `after` solves, and `now`, at `after`. `known`: true where the share is of no use.
     """
     way = [two - one for one, two in zip(before, after, strict=True)]
     curve = _along(tree, way, product(tree, problem.matrix, way))
     pushing, pushed = _pushing(tree, problem, slots, active, before, after)
+    bends = list(_bends(problem, slots, active, now))
     rubbing, (most, up, down) = _rubbing(tree, problem, active, before, after)
     push, rub = (rows.weight * rows.slope for rows in (pushing, rubbing))
     held = _sum(jnp.where(pushed, push * pushing.slope, 0.0))
+    for bend in bends:
+        held = held + _summed(bend.second)
     whole = curve + held + _sum(jnp.where(up | down, 0.0, rub * rubbing.slope))
 
     def derivatives(share: Any) -> tuple[Any, Any]:
@@ -62,6 +72,9 @@ def lowest_share(
         first = first + _sum((jnp.clip(force, -most, most) - was) * rubbing.slope)
         second = curve + _sum(jnp.where(pushes, push * pushing.slope, 0.0))
         second = second + _sum(jnp.where(sticks, rub * rubbing.slope, 0.0))
+        for bend in bends:
+            change, own = bend.at(share)
+            first, second = first + change, second + own
         return first + (share - 1.0) * whole, second
 
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -71,13 +84,46 @@ def lowest_share(
         new = share - first / jnp.where(second > 0.0, second, 1.0)
         halfway = jnp.where(jnp.isfinite(high), 0.5 * (low + high), 2.0 * share)
         found = first == 0.0
+        low_enough = jnp.abs(first) <= LOW * whole if bends else found
+        halfway = jnp.where(low_enough, share, halfway) if bends else halfway
         new = jnp.where(((new > low) & (new < high)) | found, new, halfway)
         near = jnp.abs(new - share) <= NEAR * share
-        return new, low, high, near | found | known, count + 1
+        return new, low, high, near | low_enough | known, count + 1
 
     start = jnp.ones((1,), curve.dtype)
     carry = start, jnp.zeros_like(start), jnp.full_like(start, jnp.inf), jnp.zeros((1,), bool), jnp.int32(0)
-    return jax.lax.while_loop(lambda carry: ~carry[3].all() & (carry[4] < MOST_ROUNDS), step, carry)[0]
+    rounds = ROUNDS_WITH_CONES if bends else MOST_ROUNDS
+    return jax.lax.while_loop(lambda carry: ~carry[3].all() & (carry[4] < rounds), step, carry)[0]
+
+
+class Bends(NamedTuple):
+    """Contacts with elliptic cones along a line, in the frames of these: their residuals are `start + share * way`."""
+
+    weight: Any
+    cone: Cone
+    start: Any
+    way: Any
+    first: Any
+    second: Any
+    """Derivatives of their cost along the way in the equations, at the start."""
+
+    def at(self, share: Any) -> tuple[Any, Any]:
+        """By how much the first derivative of their cost exceeds that in the equations, and the second."""
+        first, second = (self.weight * part for part in self.cone.along(self.start + share * self.way, self.way))
+        return _summed(first - (self.first + share * self.second)), _summed(second)
+
+
+def _bends(problem: Problem, slots: Slots | None, active: Active, now: Active) -> Iterator[Bends]:
+    touches = [*problem.ground, *([slots.touch] if slots else ())]
+    for touch, start, end in zip(touches, (*active.ground, active.pairs), (*now.ground, now.pairs), strict=False):
+        if isinstance(touch.friction, Cone):
+            weight, way = jnp.where(touch.close, touch.weight, 0.0), end - start
+            pull, rate = (turn(touch.friction.root(start), v) for v in (start, way))
+            yield Bends(weight, touch.friction, start, way, weight * dot(pull, rate), weight * dot(rate, rate))
+
+
+def _summed(parts: Any) -> Any:
+    return _sum(parts.reshape(-1, *parts.shape[-2:]))
 
 
 def _along(tree: Tree, way: Sequence[Any], force: Sequence[Any]) -> Any:
@@ -99,8 +145,9 @@ def _pushing(
     found: list[tuple[Any, ...]] = []
     grounds = (ground_residuals(tree, problem.kinematics, problem.ground, x) for x in (before, after))
     for touch, flags, one, two in zip(problem.ground, active.ground, *grounds, strict=True):
-        found.append(_row(touch, touch.facets(one), touch.facets(two), flags))
-    if slots:
+        if not isinstance(touch.friction, Cone):
+            found.append(_row(touch, touch.facets(one), touch.facets(two), flags))
+    if slots and not isinstance(slots.touch.friction, Cone):
         found.append(_row(slots.touch, slots.facets(tree, before), slots.facets(tree, after), active.pairs))
     for dof, stop in problem.stops.items():
         found.append(_row(stop, stop.residual(before[dof]), stop.residual(after[dof]), active.stops[dof]))

@@ -27,6 +27,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     unfolded,
     with_entry,
 )
+from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.contacts import Touch
 from humanoid_mjx.mechanics.tree.inertia import Factors
 from humanoid_mjx.mechanics.tree.pairs import Flags, Slots
@@ -39,7 +40,8 @@ def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Seq
     axes = 1 if slots.touch.friction is None else 3
     own = slots.rows, slots.touch._replace(close=()), active
     index = jnp.arange(most, dtype=jnp.int32)
-    pushing = active.any(axis=1)[:, 0, 0]
+    elliptic = isinstance(slots.touch.friction, Cone)
+    pushing = (slots.touch.close if elliptic else active.any(axis=1))[:, 0, 0]
     none = jnp.zeros((axes, 1, 1))
 
     def after(last: Any) -> Any:
@@ -49,7 +51,7 @@ def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Seq
     def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         count, place, x, *pasts = carry
         along, touch, flags = jax.tree.map(lambda v: entry_at(v, place), own)
-        flags = flags & (place < most)  # a world that has ended computes on with others
+        flags = touch.only(place < most, flags)  # a world that has ended computes on with others
         each = dict(zip(slots.dofs, along[:, :axes], strict=True))
         rows = jnp.stack([each.get(dof, none) for dof in range(size)], axis=1)
         columns = stacked([stacked(unfolded(factors.solve(folded(row, tree.dofs)), tree.dofs)) for row in rows])
@@ -92,10 +94,12 @@ def _inner(touch: Touch, flags: Any, compliance: Any) -> Any:
 
 
 def _root(touch: Touch, flags: Any) -> Any:
-    """R, the root of the stiffness K that these facets have: upper triangular.
+    """R, the root of the stiffness K that these facets have: of a pyramid's upper triangular.
 
     It is that of the number of facets, scaled: the sum over facets loses what friction adds where there is little.
     """
+    if isinstance(touch.friction, Cone):
+        return touch.root(flags)
     weight = jnp.sqrt(touch.weight)
     one, *others = jnp.where(flags, jnp.ones_like(weight), 0.0)
     if touch.friction is None:

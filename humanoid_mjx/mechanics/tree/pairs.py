@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx.mechanics.tree.algebra import (
     FEW_PAIRS,
@@ -25,6 +25,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     velocity_at,
     with_entry,
 )
+from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, GapAt, Touch, pair_touch
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.problem import Problem
@@ -34,8 +35,8 @@ SLOTS = 8
 """Contacts between bodies that a world may have at a time, those of two boxes corner by corner. With room for 16,
 humanoids that are thrown about are 13 to 15 % slower on a GPU, and no fewer of them are lost."""
 
-Flags = Bool[Array, "slots facets 1 1"]
-"""Masks of the facets that push."""
+Flags = Bool[Array, "slots facets 1 1"] | Float[Array, "slots 3 1 1"]
+"""What `Touch.active` is of each contact."""
 
 
 class Ways(NamedTuple):
@@ -79,8 +80,10 @@ class Slots(NamedTuple):
         """Masks of the facets that push."""
         return self.touch.active(self.facets(tree, x))
 
-    def all_close(self) -> Flags:
-        """All facets of all contacts."""
+    def guess(self, tree: Tree, x: Sequence[Any]) -> Flags:
+        """All facets of all contacts; of elliptic cones those that push."""
+        if isinstance(self.touch.friction, Cone):
+            return self.active(tree, x)
         size = 1 if self.touch.friction is None else 4
         return jnp.broadcast_to(self.touch.close[:, None], (len(self.rows), size, 1, 1))
 
@@ -159,7 +162,8 @@ def _contacts(
     rates = unfolded(problem.velocity, tree.dofs)
     rates = stacked([rates[dof] for dof in ways.dofs])[:, None]
     zero = np.zeros((1, 1))
-    some = _joined(tree, [friction or (zero, zero) for friction in frictions]) if any(frictions) else None
+    none = jax.tree.map(lambda _: zero, next(filter(None, frictions), None))
+    some = _joined(tree, [friction or none for friction in frictions]) if any(frictions) else None
     inverse = _joined(tree, [numbers(group.surface.inverse_weight, (1, 1)) for group in tree.pairs])
 
     def contact(
@@ -172,7 +176,8 @@ def _contacts(
             surface = group.surface._replace(inverse_weight=inverse)
             touch = pair_touch(surface, gap, (rates * arms).sum(axis=0), own and friction)
             if friction and not own:  # four facets that are the same, each of a quarter of the weight
-                touch = touch._replace(weight=0.25 * touch.weight, friction=friction)
+                weight = touch.weight if isinstance(friction, Cone) else 0.25 * touch.weight
+                touch = touch._replace(weight=weight, friction=friction)
             found = touch if found is None else jax.tree.map(partial(jnp.where, pair < end), found, touch)
             end += len(group.ones)
         return found._replace(place=(), frame=(), distance=(), close=there), turn(found.frame, arms)

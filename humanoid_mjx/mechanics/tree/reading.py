@@ -156,7 +156,8 @@ def _surface(m: mujoco.MjModel, pair: Touching) -> st.Surface:
     one, two = (max(float(part), st.FRICTIONLESS) for part in pair.friction)
     rough = None if pair.condim == 1 else (one, two)
     softness = _softness(m, pair.solref, pair.solimp)
-    return st.Surface(rough, weight, float(pair.margin), float(m.opt.impratio), softness)
+    elliptic = m.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+    return st.Surface(rough, weight, float(pair.margin), float(m.opt.impratio), softness, elliptic)
 
 
 def _softness(m: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray) -> st.Softness:

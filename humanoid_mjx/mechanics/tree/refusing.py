@@ -58,6 +58,8 @@ def faults(m: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
         fields[f"sensor_{name}"] = read & used, f'{name}="0"'
     found = [Fault(what, change) for wrong, what, change in _of_structure(m, bool(sensors)) if wrong]
     contacts = [Fault(what, change, "contacts") for wrong, what, change in _of_contacts(m) if wrong]
+    rubbing = (m.pair_dim > 1) & (m.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC) & any_of_rows(m.pair_solreffriction)
+    contacts += _of_fields(m, {"pair_solreffriction": (rubbing, "that of solref")}, "contacts")
     return found + _of_fields(m, fields) + contacts
 
 
@@ -167,8 +169,6 @@ def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
     crowd = f"{many:,} pairs of shapes that may touch, more than {MOST_PAIRS:,}"
     yield many > MOST_PAIRS, crowd, "contype and conaffinity that keep shapes apart"
     pairs = touching(m) if many <= MOST_PAIRS else []
-    elliptic = m.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL and any(pair.condim > 1 for pair in pairs)
-    yield elliptic, "elliptic friction cones", 'cone="pyramidal"'
     said: dict[str, tuple[str, list[str]]] = {}
     data = mujoco.MjData(m)
     mujoco.mj_kinematics(m, data)

@@ -1,7 +1,9 @@
 """Newton's search for the minimum of MuJoCo's contact problem, over the facets that push.
 
 The problem is quadratic as long as the same facets push. So a Newton step to the minimum for those that push now is
-exact once they stay the same, and the search stops there: that minimum is the solution.
+exact once they stay the same, and the search stops there: that minimum is the solution. Where contacts with elliptic
+cones slide it is not quadratic: each step ends at the lowest point of its line, and the search stops where the force is
+that of the equations but for rounding.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from humanoid_mjx.mechanics.tree.bits import pack, unpack
+from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
 from humanoid_mjx.mechanics.tree.pair_equations import with_pairs
@@ -60,13 +63,18 @@ def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any])
         now = packed(active_at(tree, problem, x)._replace(pairs=pairs))
         x = [jnp.where(settled, old, new) for old, new in zip(before, x, strict=True)]
         errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE)
-        settled = settled | ~_differ(flags, now) | _same(before, x, errors)
+        settled = settled | ~_differ(flags, now, cones) | _same(before, x, errors)
         often = (count % 2 == 0) | (count >= PATIENCE)
-        shorter = count >= WHOLE_DRY if problem.slips else (count >= WHOLE) & often
+        shorter = count >= (0 if cones else WHOLE_DRY) if problem.slips or cones else (count >= WHOLE) & often
 
         def shorten() -> tuple[list[Any], Any]:
-            found, there = _shortened(tree, problem, slots, before, x, active, settled)
-            return found, packed(there)
+            end = unpacked(now) if cones else active
+            lines = tree, problem, slots, active, end, before, x, settled
+            share = lowest_share(*lines) if problem.slips or cones else SHARE
+            part = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, x, strict=True)]
+            there = active_at(tree, problem, part)._replace(pairs=slots.active(tree, part) if slots else None)
+            each = there, active, end  # residuals are linear along the way
+            return part, packed(jax.tree.map(lambda x, a, b: x if x.dtype == bool else a + share * (b - a), *each))
 
         x, now = jax.lax.cond(shorter & ~settled.all(), shorten, lambda: (x, now))
         return x, now, settled, count + 1
@@ -83,25 +91,18 @@ def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any])
 
     start = [jnp.broadcast_to(x, (tree.lanes if tree.laned(dof) else 1, 1)) for dof, x in enumerate(start)]
     like = active_at(tree, problem, start)
-    active = like._replace(pairs=slots.all_close() if slots else None)  # a guess
+    touches = [*problem.ground, *([slots.touch] if slots else ())]
+    cones = [touch.friction for touch in touches if isinstance(touch.friction, Cone)]
+    active = like._replace(pairs=slots.guess(tree, start) if slots else None)
     ended = jnp.broadcast_to(jnp.asarray(problem.ended), (1,))
     x, _, settled, _ = jax.lax.while_loop(going, step, (start, packed(active), ended, jnp.int32(0)))
     return x, settled
 
 
-def _shortened(
-    tree: Tree, problem: Problem, slots: Slots | None, before: Any, values: Any, active: Active, settled: Any
-) -> Any:
-    """The accelerations after a part of the way from `before` to `values`, where the facets that push in `active` lead,
-    and which facets push there; a settled world stays."""
-    share = lowest_share(tree, problem, slots, active, before, values, settled) if problem.slips else SHARE
-    x = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, values, strict=True)]
-    return x, active_at(tree, problem, x)._replace(pairs=slots.active(tree, x) if slots else None)
-
-
-def _differ(one: Any, two: Any) -> Any:
-    """Whether flags, or words of flags, differ."""
-    return _in_any_lane(jnp.any, [a != b for a, b in zip(*map(jax.tree.leaves, (one, two)), strict=True)])
+def _differ(one: Any, two: Any, cones: Sequence[Cone]) -> Any:
+    """Whether flags, or words of flags, differ, or the pulls of these cones from those in the equations of `one`."""
+    each, left = zip(*map(jax.tree.leaves, (one, two)), strict=True), iter(cones)
+    return _in_any_lane(jnp.any, [next(left).bends(a, b) if a.dtype.kind == "f" else a != b for a, b in each])
 
 
 def _same(one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.algebra import column, cross, dot, folded, numbers, unfolded
 from humanoid_mjx.mechanics.tree.bias import Drift, bias_forces, drifts_of
+from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.contacts import Friction, ground_touch, pair_gap_at, slip_of, stop_of
 from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product, with_diagonal
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
@@ -246,4 +247,6 @@ def _frictions(surfaces: Sequence[Surface], given: Any, behind: tuple[int, ...] 
     values = {value: factor * numbers(value, behind) for surface in surfaces for value in surface.friction or ()}
     if given is not None:
         values = {value: jnp.maximum(found, FRICTIONLESS) for value, found in values.items()}
-    return [surface.friction and (values[surface.friction[0]], values[surface.friction[1]]) for surface in surfaces]
+    pairs = [surface.friction and (values[surface.friction[0]], values[surface.friction[1]]) for surface in surfaces]
+    each = zip(surfaces, pairs, strict=True)
+    return [Cone.of(*pair, surface.impratio) if pair and surface.elliptic else pair for surface, pair in each]

@@ -116,6 +116,8 @@ class Surface(NamedTuple):
     margin: float
     impratio: float
     softness: Softness
+    elliptic: bool = False
+    """True if the cone of friction is elliptic, else it is a pyramid."""
 
 
 class Capsule(NamedTuple):
