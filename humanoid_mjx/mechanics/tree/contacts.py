@@ -1,8 +1,7 @@
 """Contacts of a tree with the ground and with itself: places, directions and stiffness.
 
 See "Computation" in MuJoCo's documentation. A contact's frame is its normal and two tangents; its pyramid of friction
-has a facet along the normal plus and minus each tangent, weighted by the coefficient of friction. `cones` has elliptic
-cones.
+has a facet along the normal plus and minus each tangent, weighted by the coefficient of friction. Elliptic: `cones`.
 """
 
 from collections.abc import Callable, Sequence

@@ -40,8 +40,7 @@ def with_pairs(tree: Tree, slots: Slots, active: Flags, factors: Factors, x: Seq
     axes = 1 if slots.touch.friction is None else 3
     own = slots.rows, slots.touch._replace(close=()), active
     index = jnp.arange(most, dtype=jnp.int32)
-    elliptic = isinstance(slots.touch.friction, Cone)
-    pushing = (slots.touch.close if elliptic else active.any(axis=1))[:, 0, 0]
+    pushing = (slots.touch.close if isinstance(slots.touch.friction, Cone) else active.any(axis=1))[:, 0, 0]
     none = jnp.zeros((axes, 1, 1))
 
     def after(last: Any) -> Any:

@@ -175,7 +175,7 @@ def _contacts(
         for group, own in zip(tree.pairs, frictions, strict=True):
             surface = group.surface._replace(inverse_weight=inverse)
             touch = pair_touch(surface, gap, (rates * arms).sum(axis=0), own and friction)
-            if friction and not own:  # four facets that are the same, each of a quarter of the weight
+            if friction and not own:  # a pyramid of four facets that are the same, each of a quarter of the weight
                 weight = touch.weight if isinstance(friction, Cone) else 0.25 * touch.weight
                 touch = touch._replace(weight=weight, friction=friction)
             found = touch if found is None else jax.tree.map(partial(jnp.where, pair < end), found, touch)
