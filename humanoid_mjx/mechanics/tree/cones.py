@@ -13,9 +13,6 @@ import numpy as np
 
 from humanoid_mjx.mechanics.tree.algebra import column, dot, transposed, turn
 
-EXACT = 100.0
-"""Rounding errors by which two pulls may differ, and count as the same."""
-
 
 class Cone(NamedTuple):
     """The cone in its stretched frame. The pull of a residual is the way to it from the nearest point of the cone; a
@@ -61,11 +58,13 @@ class Cone(NamedTuple):
         second = jnp.where(sticks, a * a + b * b + c * c, share * (change * change - bend))
         return jnp.where(apart, 0.0, first), jnp.where(apart, 0.0, second)
 
-    def bends(self, before: Any, now: Any) -> Any:
-        """True where the pull at `now` is not that by its derivative at `before`."""
+    def bends(self, before: Any, now: Any, size: Any, errors: Any) -> Any:
+        """True where the pull at `now` is not that by its derivative at `before`, but for so many rounding errors of
+        itself and of accelerations of this size."""
         one, two = (turn(transposed(rows), turn(rows, now)) for rows in map(self.root, (before, now)))
         change = one - two
-        return dot(change, change) > (EXACT * jnp.finfo(change.dtype).eps) ** 2 * dot(two, two)
+        error, stretched = errors * jnp.finfo(change.dtype).eps, self.first * size
+        return dot(change, change) > error * error * (dot(two, two) + stretched * stretched)
 
     def _zones(self, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any, Any, Any]:
         """The tangential part's inverse length, or 1, and length; the squared distance from the side by that along the

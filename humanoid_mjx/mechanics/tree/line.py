@@ -20,8 +20,7 @@ MOST_ROUNDS, NEAR = 8, 1e-3
 downhill. At this share a thousandth of a Go1's worlds did not settle with 4 steps, and all did with 6 and 8."""
 
 ROUNDS_WITH_CONES, LOW = 10, 0.1
-"""Those with elliptic cones, where the problem may bend along all of the line, and by which share of its first value
-the slope may then miss zero."""
+"""With elliptic cones, which bend the problem along a line: steps, and the share of the slope that may be left."""
 
 
 class Rows(NamedTuple):
@@ -61,7 +60,7 @@ def lowest_share(
     push, rub = (rows.weight * rows.slope for rows in (pushing, rubbing))
     held = _sum(jnp.where(pushed, push * pushing.slope, 0.0))
     for bend in bends:
-        held = held + _summed(bend.second)
+        held = held + _sum(bend.second)
     whole = curve + held + _sum(jnp.where(up | down, 0.0, rub * rubbing.slope))
 
     def derivatives(share: Any) -> tuple[Any, Any]:
@@ -110,7 +109,7 @@ class Bends(NamedTuple):
     def at(self, share: Any) -> tuple[Any, Any]:
         """By how much the first derivative of their cost exceeds that in the equations, and the second."""
         first, second = (self.weight * part for part in self.cone.along(self.start + share * self.way, self.way))
-        return _summed(first - (self.first + share * self.second)), _summed(second)
+        return _sum(first - (self.first + share * self.second)), _sum(second)
 
 
 def _bends(problem: Problem, slots: Slots | None, active: Active, now: Active) -> Iterator[Bends]:
@@ -120,10 +119,6 @@ def _bends(problem: Problem, slots: Slots | None, active: Active, now: Active) -
             weight, way = jnp.where(touch.close, touch.weight, 0.0), end - start
             pull, rate = (turn(touch.friction.root(start), v) for v in (start, way))
             yield Bends(weight, touch.friction, start, way, weight * dot(pull, rate), weight * dot(rate, rate))
-
-
-def _summed(parts: Any) -> Any:
-    return _sum(parts.reshape(-1, *parts.shape[-2:]))
 
 
 def _along(tree: Tree, way: Sequence[Any], force: Sequence[Any]) -> Any:
@@ -191,5 +186,5 @@ def _together(found: Sequence[tuple[Any, ...]], types: Sequence[type], tree: Tre
     return [rows(part, kind) for part, kind in zip(parts, types, strict=True)]
 
 
-def _sum(rows: Float[Array, "rows lanes 1"]) -> Float[Array, " 1"]:
-    return rows.sum(axis=0).sum(axis=0)
+def _sum(rows: Float[Array, "... lanes 1"]) -> Float[Array, " 1"]:
+    return rows.reshape(-1, *rows.shape[-2:]).sum(axis=0).sum(axis=0)

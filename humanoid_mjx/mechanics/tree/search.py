@@ -1,9 +1,8 @@
 """Newton's search for the minimum of MuJoCo's contact problem, over the facets that push.
 
 The problem is quadratic as long as the same facets push. So a Newton step to the minimum for those that push now is
-exact once they stay the same, and the search stops there: that minimum is the solution. Where contacts with elliptic
-cones slide it is not quadratic: each step ends at the lowest point of its line, and the search stops where the force is
-that of the equations but for rounding.
+exact once they stay the same, and the search stops there: that minimum is the solution. With elliptic cones each step
+ends at the lowest point of its line, and the search stops where forces are those of the equations but for rounding.
 """
 
 from collections.abc import Callable, Sequence
@@ -63,17 +62,17 @@ def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any])
         now = packed(active_at(tree, problem, x)._replace(pairs=pairs))
         x = [jnp.where(settled, old, new) for old, new in zip(before, x, strict=True)]
         errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE)
-        settled = settled | ~_differ(flags, now, cones) | _same(before, x, errors)
+        settled = settled | ~_differ(flags, now, cones, x, errors) | _same(before, x, errors)
         often = (count % 2 == 0) | (count >= PATIENCE)
         shorter = count >= (0 if cones else WHOLE_DRY) if problem.slips or cones else (count >= WHOLE) & often
 
         def shorten() -> tuple[list[Any], Any]:
-            end = unpacked(now) if cones else active
-            lines = tree, problem, slots, active, end, before, x, settled
-            share = lowest_share(*lines) if problem.slips or cones else SHARE
+            at = unpacked(now) if cones else active
+            given = tree, problem, slots, active, at, before, x, settled
+            share = lowest_share(*given) if problem.slips or cones else SHARE
             part = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, x, strict=True)]
             there = active_at(tree, problem, part)._replace(pairs=slots.active(tree, part) if slots else None)
-            each = there, active, end  # residuals are linear along the way
+            each = there, active, at  # residuals are linear along the way
             return part, packed(jax.tree.map(lambda x, a, b: x if x.dtype == bool else a + share * (b - a), *each))
 
         x, now = jax.lax.cond(shorter & ~settled.all(), shorten, lambda: (x, now))
@@ -99,17 +98,24 @@ def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any])
     return x, settled
 
 
-def _differ(one: Any, two: Any, cones: Sequence[Cone]) -> Any:
-    """Whether flags, or words of flags, differ, or the pulls of these cones from those in the equations of `one`."""
+def _differ(one: Any, two: Any, cones: Sequence[Cone], x: Sequence[Any], errors: Any) -> Any:
+    """Whether flags, or words of flags, differ, or the pulls of these cones from those in the equations of `one`, by
+    more than so many rounding errors of theirs and of the accelerations `x`."""
     each, left = zip(*map(jax.tree.leaves, (one, two)), strict=True), iter(cones)
-    return _in_any_lane(jnp.any, [next(left).bends(a, b) if a.dtype.kind == "f" else a != b for a, b in each])
+    by = (_size(x), errors) if cones else ()
+    return _in_any_lane(jnp.any, [next(left).bends(a, b, *by) if a.dtype.kind == "f" else a != b for a, b in each])
 
 
 def _same(one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:
     """Whether two accelerations are the same but for so many rounding errors."""
     change = _in_any_lane(jnp.max, [jnp.abs(a - b) for a, b in zip(one, two, strict=True)])
-    size = _in_any_lane(jnp.max, [jnp.abs(b) for b in two])
+    size = _size(two)
     return change <= errors * jnp.finfo(change.dtype).eps * size
+
+
+def _size(x: Sequence[Any]) -> Any:
+    """The largest acceleration."""
+    return _in_any_lane(jnp.max, [jnp.abs(part) for part in x])
 
 
 def _in_any_lane(combined: Callable[..., Any], values: Sequence[Any]) -> Any:
