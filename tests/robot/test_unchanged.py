@@ -316,7 +316,7 @@ def test_every_element_that_the_package_adds_has_an_empty_default_class():
             if file.name != "legs.py" and isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
                 kind = node.func.attr.removeprefix("add_")
                 if node.func.attr != kind and kind in ("actuator", "pair", "geom", "site", "joint", "camera", "light"):
-                    assert ast.unparse(node.args[0]) == "PLAIN", (file, node.lineno)
+                    assert ast.unparse(node.args[0]).endswith("PLAIN"), (file, node.lineno)
                     found += 1
     assert found >= 8
 
