@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as gpu
-from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
+from jax.extend import core
 from jaxtyping import Array, Float
 
 from humanoid_mjx.kernels.memory import THREADS, Constants, Device, Record, Region, Shared, Table, Words, assembly, bits
@@ -29,7 +29,7 @@ Results = Callable[[Sequence[Array]], list[Float[Array, " worlds"]]]
 
 MOST_WORK = 250_000
 """Numbers that a world takes, times operations, of a kernel in which each number is loaded by itself. Triton's time
-grows with it (see `_Stage`): 3 s for 27,000, 6 s for 99,000, 98 s for 800,000, on the host of an H100."""
+grows with it (see `_Stage`): 3 s for 26,000, 6 s for 99,000, 98 s for 690,000, on the host of an H100."""
 
 PAGE = 48 * 1024 // (4 * THREADS)
 """Rows, or words of each thread, that fit into the shared memory that a block may declare."""
@@ -90,9 +90,9 @@ def kinds_of_results(known: Signature) -> tuple[list[Kind], dict[int, int], list
     kept: list[Any] = []
     constants: list[np.ndarray] = []
 
-    def looked_up(number: int, words: Words) -> Region:
+    def looked_up(_: int, words: Words) -> Region:
         constants.append(np.array([bits(word) for word in words], np.int32))
-        return Constants(number, words, True)
+        return Table(constants[-1])
 
     def results(numbers: Sequence[Array]) -> list[Array]:
         threads = _threads(1, True, looked_up)
@@ -108,14 +108,10 @@ def kinds_of_results(known: Signature) -> tuple[list[Kind], dict[int, int], list
     return *kept[0], constants
 
 
-def _operations(jaxpr: Jaxpr) -> int:
+def _operations(jaxpr: core.Jaxpr) -> int:
     """How many operations a traced function has, those of loops and branches among them."""
-    inside = (part for eqn in jaxpr.eqns for part in jax.tree.leaves([*eqn.params.values()], is_leaf=_is_traced))
-    return len(jaxpr.eqns) + sum(_operations(getattr(part, "jaxpr", part)) for part in inside if _is_traced(part))
-
-
-def _is_traced(value: Any) -> bool:
-    return isinstance(value, (Jaxpr, ClosedJaxpr))
+    inside = (part for eqn in jaxpr.eqns for part in core.jaxprs_in_params(eqn.params))
+    return len(jaxpr.eqns) + sum(map(_operations, inside))
 
 
 def _stored(dtype: Any) -> Any:
@@ -226,7 +222,7 @@ def _results(known: Signature, lanes: int, interpret: bool) -> Results:
         rows, *_ = known.evaluate(_threads(lanes, interpret), numbers)
         return [number.astype(jnp.float32) for number in rows]
 
-    return jax.jit(lambda numbers: jaxpr_as_fun(fused(jax.make_jaxpr(results)(numbers)))(*numbers))
+    return jax.jit(lambda numbers: core.jaxpr_as_fun(fused(jax.make_jaxpr(results)(numbers)))(*numbers))
 
 
 def _threads(lanes: int, interpret: bool, constants: Callable[[int, Words], Region] | None = None) -> Threads:

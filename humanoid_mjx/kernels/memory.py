@@ -198,7 +198,7 @@ class Constants(Region):
     """Words that are known while tracing, the same for all threads."""
 
     def __init__(self, number: int, words: Words, interpret: bool):
-        if len(words) > MOST and not interpret:
+        if len(words) > MOST:
             raise NotImplementedError(f"threads look up at most {MOST} constants")
         numbers, name = [bits(word) for word in words], f"constants{number}_${{:uid}}"
         rows = [jnp.full(THREADS, number, jnp.int32) for number in numbers] if interpret else []
@@ -214,7 +214,7 @@ class Constants(Region):
 
 
 class Table(Region):
-    """Words that are known while tracing, the same for all threads, in an array of the device.
+    """Words that are known while tracing, the same for all threads, in an array of the device, by reference or itself.
 
     Threads that look up different words there wait for each other less than at memory of constants.
     """
@@ -223,8 +223,10 @@ class Table(Region):
         self.array, self.seen, self.address, self.token = array, [], None, jnp.int32(0)
 
     def read(self, word: int, place: Address | None, dtype: Any) -> Values:
-        place = jnp.zeros(THREADS, jnp.int32) if place is None else place
-        return lax.bitcast_convert_type(gpu.load(self.array.at[place + word]), dtype)
+        place = word + (jnp.zeros(THREADS, jnp.int32) if place is None else place)
+        known = isinstance(self.array, np.ndarray)
+        words = jnp.asarray(self.array)[place] if known else gpu.load(self.array.at[place])
+        return lax.bitcast_convert_type(words, dtype)
 
 
 def bits(number: np.generic) -> int:

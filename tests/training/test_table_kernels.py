@@ -159,6 +159,8 @@ def test_a_gpu_leaves_kernels_to_xla_that_triton_compiles_for_minutes(monkeypatc
     monkeypatch.setattr(fallback, "why_none", lambda: None)
     assert "Triton takes minutes" in why_no_kernel(make_learner("tabular_q", make_task("posture_switch")))
     assert why_no_kernel(make_learner("tabular_q", make_task("joint_reach"), method="n_step")) is None
+    room = make_task("navigate", map=("S" + "." * 79, *["." * 80] * 78, "." * 79 + "G"))
+    assert why_no_kernel(make_learner("tabular_q", room)) is None  # constants take no operations
 
 
 def test_without_a_gpu_of_nvidia_xla_trains(monkeypatch):
