@@ -14,7 +14,7 @@ from humanoid_mjx.compute import compiler_options
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy
 from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.report.figures import Figure, side_by_side
-from humanoid_mjx.report.rendering import CODECS, Frame, check_file, write_frames
+from humanoid_mjx.report.rendering import FILMS, Frame, check_file, write_frames
 from humanoid_mjx.report.style import COLORS, SEQUENTIAL, figure, label_lines, log_axis, shades
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.navigate import MOVES, Navigate, next_cells
@@ -105,7 +105,7 @@ def draw_learned(path: Path, out: Path | None) -> tuple[Path, list[str]]:
     Raises:
       InputError: as `learned`, or the film cannot be written.
     """
-    if out and out.suffix in (".gif", *CODECS):
+    if out and out.suffix in FILMS:
         check_file(out)
         words, figures = learned(path, film=True)
         write_frames(map(partial(_frame, path.resolve().name), figures), out, fps=4.0)

@@ -65,16 +65,14 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
         "Learning": [text(f"Lines: {averaged(learning)}."), *curve_panels(learning)],
     }
     if others := parameters(learning):
-        panels = (panel for each in others for panel in _row(learning, (None,), each))
-        parts["What matters"] = [text(_capital(EFFECTS[learning.mode]) + "."), _grid(panels)]
+        parts["What matters"] = [text(_capital(EFFECTS[learning.mode]) + "."), _panels(learning, others)]
     if maps := mapped(learning):
         parts["Two parameters at a time"] = _maps(learning, maps)
     if config["learner"]["name"] == "tabular_q":
         reporter.phase("drawing its table")
         with suppress(InputError):  # which `_differences` tells
             words, tables = learned(path)
-            panels = (panel for each in tables for panel in _row(learning, (None,), each))
-            parts["What was learned"] = [text(words), _grid(panels)]
+            parts["What was learned"] = [text(words), _panels(learning, tables)]
     if motion and (shown := _motion(path, reporter)):
         parts["The robot"] = shown
     parts |= {
@@ -133,11 +131,16 @@ def curve_panels(learning: Learning) -> list[str]:
     """A row of panels for each figure, on one scale; where lines are points of the sweep, all figures in one."""
     rows, axes = curved(learning), list(learning.axes)
     if not by_value(learning):
-        return [_grid(curve for each in rows for curve in _row(learning, (None,), each))]
+        return [_panels(learning, rows)]
     return [
         text(_capital(each.title), "h3") + _grid(_row(learning, axes if each.by_axis else (None,), each))
         for each in rows
     ]
+
+
+def _panels(learning: Learning, figures: Iterable[Figure]) -> str:
+    """The figures side by side, a panel each."""
+    return _grid(panel for each in figures for panel in _row(learning, (None,), each))
 
 
 def _row(learning: Learning, axes: Sequence[str | None], each: Figure) -> list[str]:

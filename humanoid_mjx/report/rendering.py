@@ -181,7 +181,8 @@ def _paint(scene: Scene, size: tuple[int, int] | None = None) -> Iterator[Frame]
             yield from threads.map(painter.paint, range(first, min(first + 8 * cores(), len(scene.qpos))))
 
 
-ENDINGS = (".gif", ".mp4", ".webm", ".png")
+FILMS = (".gif", ".mp4", ".webm")
+"""Endings of films."""
 
 CODECS = {
     ".mp4": ("-pix_fmt", "yuv420p", "-movflags", "+faststart"),
@@ -191,10 +192,10 @@ CODECS = {
 
 
 def check_file(path: Path) -> None:
-    """Raise an InputError, before any work, if no file of this name can be made: its ending is none of `ENDINGS`, there
-    is no such folder, or its kind needs a package that is missing."""
-    if path.suffix not in ENDINGS:
-        raise InputError(f"{path}: the file must end in .gif, .mp4, .webm or .png.")
+    """Raise an InputError, before any work, if no file of this name can be made: its ending is neither .png nor a
+    film's, there is no such folder, or its kind needs a package that is missing."""
+    if path.suffix not in (*FILMS, ".png"):
+        raise InputError(f"{path}: the file must end in {', '.join(FILMS)} or .png.")
     check_folder(path)
     if path.suffix in CODECS:
         package("imageio_ffmpeg", "video", f"{path}: .gif needs no package, {path.suffix}")

@@ -27,7 +27,9 @@ from humanoid_mjx.physics import make_physics, tree
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import IMU
 
-PENDULUM = """
+SENSORS = '<sensor><gyro name="gyroscope" site="imu"/><accelerometer name="accelerometer" site="imu"/></sensor>'
+
+PENDULUM = f"""
 <mujoco>
   <worldbody>
     <body>
@@ -41,10 +43,7 @@ PENDULUM = """
     </body>
   </worldbody>
   <actuator><motor joint="hip"/><motor joint="knee"/></actuator>
-  <sensor>
-    <gyro name="gyroscope" site="imu"/>
-    <accelerometer name="accelerometer" site="imu"/>
-  </sensor>
+  {SENSORS}
 </mujoco>
 """
 
@@ -69,7 +68,7 @@ CROWD = f"""
 """
 """Five limbs that may touch each other."""
 
-BIPED = """
+BIPED = f"""
 <mujoco>
   <default>
     <joint damping="0.1" armature="0.002" limited="true"/>
@@ -95,10 +94,7 @@ BIPED = """
     </body>
   </worldbody>
   <actuator><motor joint="right"/><motor joint="left"/></actuator>
-  <sensor>
-    <gyro name="gyroscope" site="imu"/>
-    <accelerometer name="accelerometer" site="imu"/>
-  </sensor>
+  {SENSORS}
 </mujoco>
 """
 """Two legs of one build, each with four corners on the ground."""
