@@ -109,7 +109,8 @@ class Hears(Reporter):
             os.kill(int(text.split()[1].rpartition(":")[2]), signal.SIGKILL)
 
     def update(self, state):
-        self.act()
+        act, self.act = self.act, lambda: None  # once: what workers have may be told while they stop
+        act()
 
     @property
     def workers(self):
