@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import jaxpr_as_fun
 from jax.sharding import Mesh, NamedSharding, PartitionSpec, SingleDeviceSharding
 from jaxtyping import Array, Bool
 
@@ -73,7 +74,7 @@ def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, by_kernel:
 
     def compiled(function: Callable[..., Any], given: Any, **options_of_jit: Any) -> Callable[..., Any]:
         spread = function
-        if mesh.size > 1:  # shard_map traces anew what planning has traced
+        if mesh.size > 1:
             spread = _shared_out(function, mesh, given)
         # By default jax replicates arrays without entries, and a compiled program then refuses the states that another
         # one has made.
@@ -101,19 +102,35 @@ def _shared_out(function: Callable[..., Any], mesh: Mesh, given: Any) -> Callabl
     Arrays without entries, such as the chain's warm start, are made on each device and not passed: jaxlib 0.11.2
     crashes when it compiles a `shard_map` that takes one.
     """
+    size = mesh.shape[RUNS]
+
+    def part_of(spec: PartitionSpec, leaf: Array) -> jax.ShapeDtypeStruct:
+        shape = (leaf.shape[0] // size, *leaf.shape[1:]) if RUNS in spec else leaf.shape
+        return jax.ShapeDtypeStruct(shape, leaf.dtype, weak_type=leaf.aval.weak_type)
 
     def call(*args: Any) -> Any:
-        def on_device(*passed: Any) -> Any:
-            return function(*jax.tree.map(whole, args, passed))
+        parts = jax.tree.map(lambda spec, tree: jax.tree.map(partial(part_of, spec), tree), given, args)
+        known = function if mesh.shape[ENVS] > 1 else _traced(function, parts)
 
-        def whole(leaf: Array, part: Array | None) -> Array:
-            return jnp.zeros((leaf.shape[0] // mesh.shape[RUNS], *leaf.shape[1:]), leaf.dtype) if part is None else part
+        def on_device(*passed: Any) -> Any:
+            return known(*jax.tree.map(whole, parts, passed))
+
+        def whole(shape: jax.ShapeDtypeStruct, part: Array | None) -> Array:
+            return jnp.zeros(shape.shape, shape.dtype) if part is None else part
 
         some = jax.tree.map(lambda leaf: leaf if leaf.size else None, args)
         runs = PartitionSpec(RUNS)
         return jax.shard_map(on_device, mesh=mesh, in_specs=given, out_specs=runs, check_vma=False)(*some)
 
     return call
+
+
+def _traced(function: Callable[..., Any], shapes: Any) -> Callable[..., Any]:
+    """Return the function as traced for these arguments outside of any mesh: what planning has traced is not traced
+    again, as it would be within `shard_map`."""
+    closed, results = jax.make_jaxpr(function, return_shape=True)(*shapes)
+    flat, structure = jaxpr_as_fun(closed), jax.tree.structure(results)
+    return lambda *args: jax.tree.unflatten(structure, flat(*jax.tree.leaves(args)))
 
 
 def programs_of(learners: Learner, devices: Devices) -> Programs:
