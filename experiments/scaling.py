@@ -4,11 +4,10 @@ python experiments/scaling.py [--cards 1,2] [--only joint1,walk] [--once] [--sma
 python experiments/scaling.py docs/bench/h100_scaling.json --draw docs/scaling.png    # a record
 
 Each sweep is a whole command in a process of its own that sees so many cards: once with nothing compiled, and
-unless told `--once` again.
-The record has the rate of training, the seconds of the command, and whether tables of results are the same, byte by
-byte, as those of the first number of cards, and as those of the second time. Each sweep is also killed on the largest
-number of cards and resumed on the smallest, but for those of `ONCE`. Without a GPU devices of the CPU stand for
-cards. `--small` tries the script.
+unless told `--once` again. The record has the rate of training, the seconds of the command, the memory and the cores
+that it takes of the host, and whether tables of results are the same, byte by byte, as those of the first number of
+cards, and as those of the second time. Each sweep but those of `UNKILLED` is also killed on the largest number of cards
+and resumed on the smallest. Without a GPU devices of the CPU stand for cards. `--small` tries the script.
 """
 
 import argparse
@@ -33,8 +32,8 @@ from humanoid_mjx.runs.listing import look_at
 from humanoid_mjx.spec import InputError
 
 SWEEPS = {
-    "joint1": ["seeds=800", "episodes=8_000"],  # 240,000 tables
-    "leg_reach": ["seeds=64", "total_steps=4_000_000"],
+    "joint1": ["seeds=3_400", "episodes=8_000", "record=5"],  # a million tables
+    "leg_reach": ["seeds=64", "total_steps=20_000_000"],
     "stand": ["seeds=8"],
     "walk": ["seeds=40", "total_steps=10_000_000"],
     "walk_dog": ["seeds=10"],
@@ -42,8 +41,8 @@ SWEEPS = {
 }
 """Sweeps with work for several cards, and what they change of their config."""
 
-ONCE = ("walk_humanoid",)
-"""Sweeps too long to be trained a further time."""
+UNKILLED = ("leg_reach", "stand", "walk_humanoid")
+"""Sweeps that are not killed: too long to be trained again, or too short for a state to be stored before the end."""
 
 TINY = ["learner.envs=64", "learner.evaluation_envs=16", "learner.minibatches=1", "total_steps=20_000", "record=5"]
 SMALL = {
@@ -81,19 +80,22 @@ def trained(config: str, settings: list[str], cards: int, place: Path, times: tu
     row: dict[str, Any] = {"config": config, "set": settings, "cards": cards}
     for which in times:
         out, began = place / f"{config}-{cards}-{which}", time.perf_counter()
-        process = subprocess.run(
-            command(config, settings, out),
-            env=environment(cards, place / f"cache-{cards}"),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        seconds = time.perf_counter() - began
-        if process.returncode:
-            return row | {"error": process.stderr.strip().splitlines()[-1:]}
+        with tempfile.TemporaryFile("w+") as errors:
+            env = environment(cards, place / f"cache-{cards}")
+            process = subprocess.Popen(
+                command(config, settings, out), env=env, stdout=subprocess.DEVNULL, stderr=errors
+            )
+            _, status, used = os.wait4(process.pid, 0)
+            seconds = time.perf_counter() - began
+            process.returncode = os.waitstatus_to_exitcode(status)
+            if process.returncode:
+                errors.seek(0)
+                return row | {"error": errors.read().strip().splitlines()[-1:]}
+        host = {"host_gb": used.ru_maxrss / 1e6, "host_cores": (used.ru_utime + used.ru_stime) / seconds}
         made = json.loads((out / "provenance.json").read_text())
         rates = {name: made.get(name) for name in ("steps_per_s", "wall_s", "compile_s")}
-        row[which] = rates | {"command_s": round(seconds, 1), "tables": digest(out), "success": success(out)}
+        row[which] = rates | {"command_s": round(seconds, 1)} | {name: round(value, 1) for name, value in host.items()}
+        row[which] |= {"tables": digest(out), "success": success(out)}
         print(config, cards, which, row[which], flush=True)
     return row | {"same_bits_again": row["first"]["tables"] == row["again"]["tables"] if len(times) > 1 else None}
 
@@ -166,7 +168,7 @@ def main() -> None:
             for row in done:
                 row["same_bits_as_first"] = row[last]["tables"] == done[0][last]["tables"]
             record["rows"] += rows
-            if config not in ONCE and len(done) == len(cards):
+            if config not in UNKILLED and len(done) == len(cards):
                 after = 0.7 * done[-1][last]["command_s"]  # before the end, if nothing is stored until then
                 killed = resumed(config, sweeps[config], (cards[-1], cards[0]), after, Path(folder))
                 killed["same_bits"] = killed["tables"] == done[0][last]["tables"]
