@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,7 @@ def read_learning(path: Path, config: Mapping[str, Any], summary: Mapping[str, n
         found[row, column] = curves[kept]
         return found
 
+    @cache
     def finals(name: str) -> np.ndarray | None:
         return by_point(summary, name)[1] if name in summary else None
 

@@ -6,6 +6,7 @@ Seeds are common random numbers of all points of a sweep, so points are compared
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 from math import comb, inf
 from statistics import NormalDist
 from typing import Any, NamedTuple
@@ -49,9 +50,7 @@ def interval(
     it is NaN, as the median is.
     """
     n, ordered = len(values), np.sort(np.asarray(values, float), axis=0)
-    ordered = np.where(np.isnan(ordered[-1]), np.nan, ordered)
-    # Share of samples whose median lies below their k-th smallest value or above their k-th largest one.
-    outside = 2 * np.cumsum([comb(n, i) / 2**n for i in range(n // 2 + 1)])
+    ordered, outside = np.where(np.isnan(ordered[-1]), np.nan, ordered), _outside(n)
     if n < 2 or outside[0] > ERROR:
         beyond = WIDER.get(n, 0.0) * (ordered[-1] - ordered[0])
         low, high = ordered[0] - beyond, ordered[-1] + beyond
@@ -62,6 +61,12 @@ def interval(
         part = (n - k) * part / (k + (n - 2 * k) * part)
         low, high = ((1 - part) * ordered[a] + part * ordered[b] for a, b in ((k - 1, k), (n - k, n - k - 1)))
     return np.asarray(np.clip(low, least, most)), np.asarray(np.clip(high, least, most))
+
+
+@lru_cache
+def _outside(n: int) -> Float[np.ndarray, " ranks"]:
+    """Share of samples whose median lies below their k-th smallest value or above their k-th largest one, by k."""
+    return 2 * np.cumsum([comb(n, i) / 2**n for i in range(n // 2 + 1)])
 
 
 def estimate(values: Num[np.ndarray, " n"], least: float = -inf, most: float = inf) -> Estimate:

@@ -104,18 +104,17 @@ def all_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None) -
     loaded = {part: read_arrays(part, (*prefixes, "rung"), digest) for part in parts(path)}
     if not loaded:
         return {}
-    form, seen = None, set()
+    form = None
     for part, arrays in loaded.items():
         form = form or _form(arrays)
         if form is None or _form(arrays) != form:
             raise damaged(part, "is of another training")
-        rung = arrays.get("rung", np.zeros_like(arrays["point"]))
-        runs = set(zip(rung.tolist(), arrays["point"].tolist(), arrays["seed"].tolist(), strict=True))
-        if len(runs) < len(arrays["point"]) or runs & seen:
-            raise damaged(part, "holds runs that another one holds")
-        seen |= runs
     whole = {name: np.concatenate([arrays[name] for arrays in loaded.values()]) for name in form or ()}
-    order = np.lexsort((whole["seed"], whole["point"], whole.get("rung", np.zeros_like(whole["point"]))))
+    keys = np.stack([whole["seed"], whole["point"], whole.get("rung", np.zeros_like(whole["point"]))])
+    order = np.lexsort(keys)
+    if len(again := order[1:][(np.diff(keys[:, order]) == 0).all(axis=0)]):
+        ends = np.cumsum([len(arrays["seed"]) for arrays in loaded.values()])
+        raise damaged([*loaded][int(np.searchsorted(ends, again[0], "right"))], "holds runs that another one holds")
     return {name: array[order] for name, array in whole.items()}
 
 
