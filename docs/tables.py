@@ -332,16 +332,21 @@ def _on_cards(config: str, cards: int) -> str:
 
 
 def scaling() -> str:
-    """Return how fast sweeps train on several cards of one host, and how long the commands take."""
-    rows, found = [], record("h100_scaling")["rows"]
-    for row in found:
-        one = next(each["first"]["steps_per_s"] for each in found if each["config"] == row["config"])
-        made, words = row["first"], " ".join(f"--set {each}" for each in row["set"])
-        share = rounded(made["steps_per_s"] / one / row["cards"])
-        rows.append((f"`{row['config']} {words}`", str(row["cards"]), rounded(made["steps_per_s"]), share,
-                     rounded(made["command_s"], 0), "yes" if row["same_bits_as_first"] else "no"))  # fmt: skip
-    columns = "steps a second while training | share of as many times one card | command, s | same tables as on one"
-    return table(f"`sweep` | cards | {columns}", rows)
+    """Return how much faster sweeps train on several cards of one host, and how long the commands take."""
+    rows = []
+    for card in ("h200", "h100"):
+        found = record(f"{card}_scaling")["rows"]
+        for config in dict.fromkeys(row["config"] for row in found):
+            made = {row["cards"]: row["first"] for row in found if row["config"] == config}
+            sets = next(row["set"] for row in found if row["config"] == config)
+            times = [rounded(made[cards]["steps_per_s"] / made[1]["steps_per_s"]) if cards in made else ""
+                     for cards in (2, 4)]  # fmt: skip
+            seconds = ", ".join(rounded(one["command_s"], 0) for one in made.values())
+            same = "yes" if len({one["tables"] for one in made.values()}) == 1 else "no"
+            words = " ".join([config, *(f"--set {each}" for each in sets)])
+            rows.append((f"`{words}`", card.upper(), rounded(made[1]["steps_per_s"]), *times, seconds, same))
+    columns = "steps/s on one | times as fast on two | on four | command on 1, 2, 4, s | same tables"
+    return table(f"`sweep` | card | {columns}", rows)
 
 
 def ranges() -> str:
