@@ -250,10 +250,10 @@ def read_policy(path: Path, overrides: Sequence[str] = ()) -> StoredPolicy:
 
 
 def _as_now(config: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """The data of a config, without the digest of its robot's files where an override names the same robot."""
+    """The data of a config, without the digest of its robot's files where an override names a robot."""
     task = config.get("task")
     robot = task.get("robot") if isinstance(task, dict) else None
-    if isinstance(robot, dict) and f"task.robot={robot.get('name')}" in overrides:
+    if isinstance(robot, dict) and any(override.startswith("task.robot=") for override in overrides):
         robot.pop("content", None)
     return config
 

@@ -249,8 +249,8 @@ def test_a_run_finds_its_robot_again_and_takes_no_other(tmp_path, monkeypatch):
         assert make_robot(robot["name"]).mass == pytest.approx(12.82)
 
 
-def test_a_policy_is_played_on_its_robot_as_it_is_now_where_that_is_asked_for(tmp_path):
-    """By what the error says to type."""
+def test_a_policy_is_played_on_its_robot_as_it_is_now_where_that_is_asked_for(tmp_path, monkeypatch):
+    """By what the error says to type, or by the robot's place seen from here."""
     name = files(tmp_path)
     file = tmp_path / "rest.npz"
     save_policy(at_rest(name), file)
@@ -260,8 +260,10 @@ def test_a_policy_is_played_on_its_robot_as_it_is_now_where_that_is_asked_for(tm
     asked = re.search(r"--set (task\.robot=.*)\.$", str(error.value))[1]
     with pytest.raises(InputError, match="has changed"):
         find_policy(file, overrides=["task.friction=0.5"])
-    found = in_world(find_policy(file, overrides=[asked]), None, [asked])
-    assert found.learner.task.robot.mass == pytest.approx(12.82)
+    monkeypatch.chdir(tmp_path)
+    for now in asked, f"task.robot={Path(name).name}":
+        found = in_world(find_policy(file, overrides=[now]), None, [now])
+        assert found.learner.task.robot.mass == pytest.approx(12.82)
 
 
 def test_a_robot_is_all_files_that_its_model_reads(tmp_path):
