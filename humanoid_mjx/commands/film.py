@@ -40,9 +40,8 @@ def play(
         raise InputError(f"--physics {physics}: --view moves the robot in native MuJoCo; leave this out.")
     if view and any(override.startswith("task.terrain") for override in set_):
         raise InputError("--set task.terrain: --view has a slope to set and no other ground; --out shows a terrain.")
-    if unmodified and (view or physics not in (None, "mujoco")):
-        what = "--view shows the robot of the YAML" if view else f"--physics {physics}"
-        raise InputError(f"play: {what}, --unmodified that of its MJCF in native MuJoCo; leave one of them out.")
+    if unmodified and physics not in (None, "mujoco"):
+        raise InputError(f"--physics {physics}: --unmodified plays in native MuJoCo; leave one of them out.")
     physics = "unmodified" if unmodified else physics
     if port is not None and not view:
         raise InputError("--port: only --view has a server.")
@@ -95,13 +94,16 @@ def _show(
     """Serve the page of a policy's robots until Ctrl-C; `told`: parts of the command that they follow at first."""
     _start(physics, changes)
     from humanoid_mjx.evaluation.live import Live
-    from humanoid_mjx.evaluation.policy import find_policy, in_world
+    from humanoid_mjx.evaluation.policy import find_policy, in_worlds, played_by
     from humanoid_mjx.report.live import serve
 
     with Bar(console) as bar:
         bar.phase("loading")
-        live = Live(in_world(find_policy(policy, point, changes), physics, changes), episode, robots)
+        found = in_worlds([find_policy(policy, point, changes)], [physics], changes)
+        live = Live(found[0], episode, robots)
     live.told |= told
+    for words in played_by(found):
+        console.print(words)
     with suppress(KeyboardInterrupt):
         serve(live, console.print, port=port or 0)
 

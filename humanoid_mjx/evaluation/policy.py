@@ -293,10 +293,9 @@ def in_world(trained: StoredPolicy, physics: str | None, overrides: Sequence[str
 def in_worlds(
     policies: Sequence[StoredPolicy], worlds: Sequence[str | None], overrides: Sequence[str]
 ) -> list[StoredPolicy]:
-    """Each policy on each of these physics and in a changed world (`in_world`), named apart."""
+    """Each policy on each of these physics and in a changed world (`in_world`); an unmodified one's name says so."""
     every = [(physics, in_world(trained, physics, overrides)) for trained in policies for physics in worlds]
-    suffix = {UNMODIFIED: f", {UNMODIFIED}"} if len(worlds) > 1 else {}
-    return [found._replace(name=found.name + suffix.get(physics or "", "")) for physics, found in every]
+    return [found._replace(name=found.name + f", {UNMODIFIED}" * (physics == UNMODIFIED)) for physics, found in every]
 
 
 def played_by(policies: Sequence[StoredPolicy]) -> list[str]:

@@ -109,9 +109,9 @@ class Window:
     """A live robot as the browser gets it, and the messages that come back."""
 
     def __init__(self, live: Live):
+        bodies = live.stage.bodies
         self.live, self.model = live, live.model
-        self.scene = make_scene(self.model, self.model.qpos0[None])
-        bodies = self.live.stage.bodies
+        self.scene = make_scene(bodies[0].model, self.model.qpos0[None])
         self.sides = BESIDE * self.model.stat.extent * (np.arange(len(bodies)) - (len(bodies) - 1) / 2)
         """Offset to the left at which each robot is drawn, m."""
         self.scales = _scales(live)
@@ -193,7 +193,7 @@ class Window:
         grabs, to = [body.grab for body in bodies], _place(what["to"])
         if "shape" in what:
             robot, shape = divmod(range(len(bodies) * len(shown)).index(what["shape"]), len(shown))
-            data, part = bodies[robot].data, int(self.model.geom_bodyid[shown[shape]])
+            data, part = bodies[robot].data, int(self.scene.model.geom_bodyid[shown[shape]])
             place = views[robot].back(_place(what["point"])) - data.xpos[part]
             grabs[robot] = Grab(part, data.xmat[part].reshape(3, 3).T @ place, place)
         return [grab and grab._replace(to=view.back(to)) for grab, view in zip(grabs, views, strict=True)]
@@ -220,7 +220,7 @@ class Window:
         frame: dict[str, Any] = {"shapes": [], "torsos": [], "forces": [], "pushes": [], "ahead": [], "centres": []}
         pressing = [body.pressing() if live.touchable else {} for body in bodies]
         for body, view, pressed in zip(bodies, views, pressing, strict=True):
-            places, turns = posed(self.model, body.data, self.scene.shown)
+            places, turns = posed(body.model, body.data, self.scene.shown)
             shown = {
                 "torsos": view.at(body.data.xpos[1]),
                 "centres": view.at(body.data.subtree_com[1]),
@@ -263,7 +263,8 @@ class Window:
         angles = np.degrees(first.data.qpos[self.model.jnt_qposadr[joints]])
         charts["joint angle, degrees"] = dict(zip(names, angles, strict=True))
         if live.touchable:
-            charts["torque, N m"] = dict(zip(names, first.data.actuator_force, strict=True))
+            torques = first.data.qfrc_actuator[self.model.jnt_dofadr[joints]]
+            charts["torque, N m"] = dict(zip(names, torques, strict=True))
         return charts | {"reward of a decision": {name: values[0] for name, values in live.rewards.items()}}
 
 

@@ -235,10 +235,9 @@ def test_a_policy_is_shown_in_the_file_of_its_robot_beside_its_own_world(tmp_pat
             "--physics tree: --unmodified plays in native MuJoCo",
         ),
         (
-            ["play", "walk_dog", "--view", "--unmodified"],
-            "--view shows the robot of the YAML, --unmodified that of its",
+            ["play", "walk_dog", "--physics", "tree", "--unmodified"],
+            "--physics tree: --unmodified plays in native MuJoCo",
         ),
-        (["play", "walk_dog", "--physics", "tree", "--unmodified"], "--physics tree, --unmodified that of its MJCF"),
         (
             ["evaluate", "posture_switch", "--unmodified"],
             "the robot legs has no foot on the ground; take physics mujoco",

@@ -19,7 +19,7 @@ from browser import CHROMIUM, browser
 from humanoid_mjx.config import parse
 from humanoid_mjx.control import at_rest
 from humanoid_mjx.control.laws import ServoLaw
-from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, Stage
+from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, LiveUnmodified, Stage
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.report.live import Window, _scales, make_server, serve
@@ -34,11 +34,12 @@ FAST = 1000.0
 """Seconds of the robot a second: nobody waits."""
 
 
-def test_without_hands_it_is_native_mujoco():
+@pytest.mark.parametrize(("name", "live"), [("mujoco", LiveMujoco), ("unmodified", LiveUnmodified)])
+def test_without_hands_it_is_native_mujoco(name, live):
     """The same bits after thirty steps of a body that falls from a bent posture."""
     law = ServoLaw(stiffness=20.0, damping=0.4).follow(at_rest(jnp.asarray(ROBOT.posture)))
     ends = []
-    for physics in (make_physics("mujoco", robot=ROBOT, timestep=0.004), LiveMujoco(robot=ROBOT, timestep=0.004)):
+    for physics in (make_physics(name, robot=ROBOT, timestep=0.004), live(robot=ROBOT, timestep=0.004)):
         if isinstance(physics, LiveMujoco):
             physics.stage.hands.pace = FAST
         world = physics.start(jnp.asarray(MODEL.qpos0).at[8].add(0.4), jnp.zeros(MODEL.nv))
@@ -175,7 +176,7 @@ def rests(read):
 @pytest.fixture(scope="module")
 def walking():
     running = Running(Live(find_policy("walk")))
-    running.until(lambda: running.live.stage.time > 0.1)  # a few frames were shown
+    running.until(lambda: running.server.shown.frame["charts"]["reward of a decision"])  # a decision was shown
     yield running
     running.end()
 

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from humanoid_mjx.evaluation.episode import begun, decided, own_data, robot_of, single, world_of
 from humanoid_mjx.evaluation.live.body import Grab as Grab
-from humanoid_mjx.evaluation.live.stage import LiveMujoco, Stage
-from humanoid_mjx.evaluation.policy import StoredPolicy, in_world, on_plane
+from humanoid_mjx.evaluation.live.stage import LiveMujoco, LiveUnmodified, Stage
+from humanoid_mjx.evaluation.policy import UNMODIFIED, StoredPolicy, in_world, on_plane
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.base import where
 from humanoid_mjx.spec import InputError
@@ -37,7 +37,8 @@ class Live:
         robot_of(trained)
         self.touchable, trained = True, on_plane(trained)
         try:
-            trained = in_world(trained, f"{__name__}:{LiveMujoco.__name__}")
+            own = getattr(trained.learner.task, "physics", None) == UNMODIFIED
+            trained = in_world(trained, f"{__name__}:{(LiveUnmodified if own else LiveMujoco).__name__}")
         except InputError:  # a task with a physics of its own is shown and steered, but nobody can touch it
             self.touchable = False
         task: Any = trained.learner.task.for_driving()

@@ -45,11 +45,16 @@ class Hands:
     """Seconds of the robot a second."""
 
 
-class Body:
-    """One robot of a stage: MuJoCo's model and data, and what a person does to this robot alone."""
+WARMSTART = int(mujoco.mjtState.mjSTATE_WARMSTART)
+"""The state of native MuJoCo beside positions and velocities."""
 
-    def __init__(self, base: mujoco.MjModel):
-        self.model, self.data = copy(base), mujoco.MjData(base)
+
+class Body:
+    """One robot of a stage: MuJoCo's model and data, and what a person does to this robot alone. `rest` is the part of
+    MuJoCo's state that goes from one time step to the next beside positions and velocities."""
+
+    def __init__(self, base: mujoco.MjModel, rest: int = WARMSTART):
+        self.model, self.data, self.rest = copy(base), mujoco.MjData(base), rest
         self.grab: Grab | None = None
         self.shoves: list[np.ndarray] = []
         """Impulses on the torso that are due, N s, world."""
@@ -76,18 +81,20 @@ class Body:
         rise: Float[np.ndarray, "2"],
         qpos: Float[np.ndarray, " nq"],
         qvel: Float[np.ndarray, " nv"],
-        warmstart: Float[np.ndarray, " nv"],
+        rest: Float[np.ndarray, " rest"],
         control: Float[np.ndarray, " controls"],
     ) -> tuple[np.ndarray, ...]:
-        """Return position above the ground, velocity and acceleration after a time step, and the sensors' readings
-        before it. `control` holds the torques of the motors, then forces on all degrees of freedom; the ground tilts
-        towards the slope `rise` of the picture."""
+        """Return position above the ground, velocity and `rest` after a time step, and the sensors' readings before it.
+        `control` holds the motors' controls, then forces on all degrees of freedom; the ground tilts towards the slope
+        `rise` of the picture."""
         model, data = self.model, self.data
-        data.qpos, data.qvel, data.qacc_warmstart = qpos, qvel, warmstart
+        data.qpos, data.qvel = qpos, qvel
+        mujoco.mj_setState(model, data, rest, self.rest)
         data.ctrl, data.qfrc_applied = control[: model.nu], control[model.nu :]
         if self.free:
             data.qpos[2] += self.height(qpos)
         model.pair_friction[:, :2] *= hands.friction
+        model.geom_friction[:, 0] *= hands.friction
         model.body_mass[1] += hands.payload
         model.body_subtreemass[:2] += hands.payload
         self._face()
@@ -95,10 +102,11 @@ class Body:
         mujoco.mj_step(model, data)
         sensed = data.sensordata.copy()
         self._measure(model.opt.timestep)
-        moved = data.qpos.copy()
+        moved, rest = data.qpos.copy(), np.empty_like(rest)
+        mujoco.mj_getState(model, data, rest, self.rest)
         if self.free:
             moved[2] -= self.height(moved)
-        return moved, data.qvel.copy(), data.qacc.copy(), sensed
+        return moved, data.qvel.copy(), rest, sensed
 
     def show(self, qpos: Float[np.ndarray, " nq"], qvel: Float[np.ndarray, " nv"], seconds: float) -> None:
         """Show where another physics has brought the robot in so many seconds."""

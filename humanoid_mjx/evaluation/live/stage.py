@@ -4,7 +4,7 @@
 import time
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +14,9 @@ from jax.custom_batching import custom_vmap
 from jax.experimental import io_callback
 from jaxtyping import Float
 
-from humanoid_mjx.evaluation.live.body import Body, Hands
+from humanoid_mjx.evaluation.live.body import WARMSTART, Body, Hands
 from humanoid_mjx.physics.native import Native
+from humanoid_mjx.physics.unmodified import REST, Unmodified
 
 FRAME_S = 1 / 40
 """Time between two frames that are shown, s."""
@@ -27,8 +28,8 @@ LATEST_S = 0.25
 class Stage:
     """Robots that are seen together, the forces of the user on them, and the clock."""
 
-    def __init__(self, base: mujoco.MjModel):
-        self.bodies = [Body(base)]
+    def __init__(self, base: mujoco.MjModel, rest: int = WARMSTART):
+        self.bodies = [Body(base, rest)]
         self.hands = Hands()
         self.shown: Callable[[], None] = lambda: None
         """Called for each frame."""
@@ -40,8 +41,9 @@ class Stage:
 
     def fill(self, robots: int) -> None:
         """Let so many robots stand here."""
-        base = self.bodies[0].model
-        self.bodies = [*self.bodies, *(Body(base) for _ in range(robots - len(self.bodies)))][:robots]
+        first = self.bodies[0]
+        more = (Body(first.model, first.rest) for _ in range(robots - len(self.bodies)))
+        self.bodies = [*self.bodies, *more][:robots]
 
     def advance(self, *rows: Float[np.ndarray, "robots _"]) -> list[np.ndarray]:
         """Move every robot by a time step, as `Body.advance` does; those whose episode has ended rest."""
@@ -76,10 +78,12 @@ class Stage:
 class LiveMujoco(Native):
     """Native MuJoCo for the robots of a `Stage`, in the order of a batch."""
 
+    rest: ClassVar[int] = WARMSTART
+
     @property
     def stage(self) -> Stage:
         """Stage of the robots on this physics; cached by the model."""
-        return _stage(self._team.base)
+        return _stage(self._team.base, self.rest)
 
     @staticmethod
     def host_call(function: Callable[..., Any], shapes: Any, *vectors: Any) -> Any:
@@ -102,6 +106,12 @@ class LiveMujoco(Native):
             self._team.tune(body.model, row)
         *moved, read = stage.advance(*state)
         return *moved, read[:, : read.shape[1] * sensed]
+
+
+class LiveUnmodified(LiveMujoco, Unmodified):
+    """The same for robots as their files have them."""
+
+    rest: ClassVar[int] = REST
 
 
 _stage = lru_cache(Stage)
