@@ -8,6 +8,13 @@ from flax import linen as nn
 from jaxtyping import Array, Float
 
 from humanoid_mjx.learners.deep import DeepQ
+from humanoid_mjx.tasks.legged.episode import Episode
+from humanoid_mjx.tasks.legged.stand import Stand
+from humanoid_mjx.tasks.legged.terminations import Fall
+from humanoid_mjx.types import FloatScalar
+
+TURNING = 90.0
+"""Speed at which set-points go where a person wants them, degrees/s: a jump would throw the robot."""
 
 
 class Middle(nn.Module):
@@ -28,3 +35,32 @@ class AtRest(DeepQ):
 
     def network(self) -> nn.Module:
         return Middle(tuple(self.env.action_bins))
+
+
+class Posed(Stand):
+    """A robot whose command is the set-points of its joints, degrees. It may crouch; only a lean ends the episode."""
+
+    @classmethod
+    def of(cls, task: Stand) -> "Posed":
+        """Return the task with this command in place of the learner's offsets."""
+        return cls.model_construct(**dict(task)).replace(fall=Fall(height=0.0))
+
+    @property
+    def home(self) -> dict[str, float]:
+        """Set-points of the joints in the robot's posture, degrees."""
+        return dict(zip(self.robot.joints, np.degrees(self.posture).tolist(), strict=True))
+
+    @property
+    def told_ranges(self) -> dict[str, tuple[float, float]]:
+        """The joints' ranges, degrees; those without one turn half round from home."""
+        limited, free = self.robot.model.jnt_limited[self.robot.driven, None], self.posture[:, None] + [-np.pi, np.pi]
+        lows, highs = np.degrees(np.where(limited, self.robot.ranges_rad, free)).T.tolist()
+        return dict(zip(self.robot.joints, zip(lows, highs, strict=True), strict=True))
+
+    def steered(self, data: Episode, told: dict[str, FloatScalar]) -> Episode:
+        away = jnp.stack([told[name] - home for name, home in self.home.items()]) / self.action_scale
+        step = TURNING * self.period / self.action_scale
+        return data._replace(offsets=data.offsets + jnp.clip(away - data.offsets, -step, step))
+
+    def offsets(self, before: Episode, command: Float[Array, " joints"]) -> Float[Array, " joints"]:
+        return before.offsets

@@ -14,10 +14,11 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live
-from humanoid_mjx.report.scene import make_scene, player_figure, posed, poses, rounded, scene_data
+from humanoid_mjx.report.scene import make_scene, player_figure, posed, poses, rounded, scene_data, shape_of
 from humanoid_mjx.report.server import LOOPBACK, Server
 from humanoid_mjx.report.web import page
 from humanoid_mjx.robot.description import two_digits
+from humanoid_mjx.robot.touching import pairs_of
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.legged.events import Push
 
@@ -112,6 +113,10 @@ class Window:
         bodies = live.stage.bodies
         self.live, self.model = live, live.model
         self.scene = make_scene(bodies[0].model, self.model.qpos0[None])
+        self.touching = {*pairs_of(bodies[0].model)[1].ravel().tolist()} - {*bodies[0].planes.tolist()}
+        """Geoms that may touch, but for planes."""
+        self.geoms = [*self.scene.shown, *sorted(self.touching - {*self.scene.shown})]
+        """Geoms of the page's shapes: those that are always drawn, then those that a switch shows."""
         self.sides = BESIDE * self.model.stat.extent * (np.arange(len(bodies)) - (len(bodies) - 1) / 2)
         """Offset to the left at which each robot is drawn, m."""
         self.scales = _scales(live)
@@ -121,11 +126,14 @@ class Window:
     def page(self) -> bytes:
         """The page."""
         live, title = self.live, self.live.trained.title
-        data = scene_data(self.scene, title)
-        data["shapes"] *= len(live.stage.bodies)
+        data, model, shown = scene_data(self.scene, title), self.scene.model, self.scene.shown
+        kinds = [{"touches": geom in self.touching, "hidden": geom not in shown} for geom in self.geoms]
+        shapes = [shape_of(model, geom) | kind for geom, kind in zip(self.geoms, kinds, strict=True)]
+        data["shapes"] = shapes * len(live.stage.bodies)
         data["distance"] *= 1.0 + 0.5 * (len(live.stage.bodies) - 1)
         data |= {
-            "live": {"ranges": live.ranges, "told": live.told, "scales": self.scales, "touchable": live.touchable},
+            "live": {"scales": self.scales}
+            | {name: getattr(live, name) for name in ("ranges", "told", "home", "touchable")},
             "legs": _legs(live),
             "first": self.now(),
         }
@@ -187,7 +195,7 @@ class Window:
 
     def _grabs(self, what: Any) -> list[Grab | None]:
         """Take a place on a shape into the hand, where one is named; else move the hand, or open it."""
-        bodies, views, shown = self.live.stage.bodies, self.views(), self.scene.shown
+        bodies, views, shown = self.live.stage.bodies, self.views(), self.geoms
         if what is None:
             return [None] * len(bodies)
         grabs, to = [body.grab for body in bodies], _place(what["to"])
@@ -220,7 +228,7 @@ class Window:
         frame: dict[str, Any] = {"shapes": [], "torsos": [], "forces": [], "pushes": [], "ahead": [], "centres": []}
         pressing = [body.pressing() if live.touchable else {} for body in bodies]
         for body, view, pressed in zip(bodies, views, pressing, strict=True):
-            places, turns = posed(body.model, body.data, self.scene.shown)
+            places, turns = posed(body.model, body.data, self.geoms)
             shown = {
                 "torsos": view.at(body.data.xpos[1]),
                 "centres": view.at(body.data.subtree_com[1]),
@@ -248,7 +256,7 @@ class Window:
         of which each has one."""
         live, (first, *others) = self.live, self.live.stage.bodies
         names = [f"robot {i + 1}" for i in range(len(others) + 1)] if others else ["measured"]
-        charts: dict[str, dict[str, Any]] = {name: {"commanded": value} for name, value in live.told.items()}
+        charts: dict[str, Any] = {name: {"commanded": live.told[name]} for name in live.told if name not in live.home}
         for i, name in enumerate(SPEEDS if first.free else ()):
             measured = [body.speeds[i] for body in (first, *others)]
             charts.setdefault(name, {}).update(zip(names, measured, strict=True))

@@ -6,7 +6,7 @@
 (() => {
   const AROUND = 24, FINE = 1.2e6, NEAR = 0.02, TURN = 0.12;
 
-  const INK = "#1c2126", ALARM = "#c1121f", LOAD = "#009E73";
+  const INK = "#1c2126", ALARM = "#c1121f", LOAD = "#009E73", TOUCH = [1, 0.55, 0.05];
   const DARK = matchMedia("(prefers-color-scheme: dark)");
   const LINES = { false: ["#0072B2", "#C04F00", "#007A59", "#A8447E"], true: ["#56B4E9", "#F2994A", "#2CC295", "#E29BC4"] };
   const line = (i, count) => (count > 4 ? `hsl(${(360 * i) / count} 70% ${DARK.matches ? 65 : 38}%)` : LINES[DARK.matches][i]);
@@ -273,6 +273,13 @@
       const matrices = pose.shapes.map(placed), over = eye[2] > this.height(pose.ground, eye[0], eye[1]);
       if (data.grid && over) this.drawGround(context, this.camera, target, matrices, pose.ground);
       this.drawSolids(context, this.camera, matrices);
+      if (this.touching) {
+        const { seen } = this;
+        context.globalAlpha = 0.7;
+        this.drawSolids(context, this.camera, matrices, TOUCH);
+        Object.assign(this, { seen });
+        context.globalAlpha = 1;
+      }
       for (const arrow of pose.arrows) this.drawArrow(context, this.camera, arrow);
       this.canvas.dataset.yaw = yaw.toFixed(3);
     }
@@ -303,6 +310,7 @@
       const falls = ground[1] * light[0] + ground[2] * light[1] - light[2];
       context.beginPath();
       matrices.forEach((matrix, s) => {
+        if (this.data.shapes[s].hidden) return;
         const points = this.solids[s].flatMap((f) => f.corners.slice(0, 2)).map(({ point }) => {
           const p = moved(matrix, point), t = Math.max(p[2] - this.height(ground, p[0], p[1]), 0) / falls;
           return camera.see(p.map((x, i) => x + t * light[i]));
@@ -313,12 +321,14 @@
       context.fill("nonzero");
     }
 
-    // Triangles with a depth buffer into a picture of their own, finer than the canvas, which smooths the edges.
-    drawSolids(context, camera, matrices) {
+    // Triangles with a depth buffer into a picture of their own, finer than the canvas, which smooths the edges: of the
+    // shapes with looks in their colours, or of those that touch in this one.
+    drawSolids(context, camera, matrices, paint) {
       const fine = Math.min(2, Math.sqrt(FINE / (camera.width * camera.height))), triangles = [];
       const [ambient, diffuse, headlight, skylight] = this.data.brightness;
       let left = Infinity, right = -Infinity, top = Infinity, bottom = -Infinity;
-      matrices.forEach((matrix, s) => this.solids[s].forEach((f) => {
+      const drawn = ({ hidden, touches }) => (paint ? touches : !hidden);
+      matrices.forEach((matrix, s) => drawn(this.data.shapes[s]) && this.solids[s].forEach((f) => {
         const first = moved(matrix, f.corners[0].point);
         if (dot(first.map((x, i) => x - camera.eye[i]), turned(matrix, f.normal)) >= 0) return;
         const seen = f.corners.map(({ point, normal }) => {
@@ -345,7 +355,7 @@
       for (const [a, b, c, s] of triangles) {
         const area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
         if (Math.abs(area) < 1e-6) continue;
-        const color = this.data.shapes[s].color.map((x) => 255 * x);
+        const color = (paint || this.data.shapes[s].color).map((x) => 255 * x);
         const x0 = Math.max(left, Math.ceil(Math.min(a[0], b[0], c[0]) - 0.5));
         const x1 = Math.min(right - 1, Math.floor(Math.max(a[0], b[0], c[0]) - 0.5));
         const y0 = Math.max(top, Math.ceil(Math.min(a[1], b[1], c[1]) - 0.5));
@@ -495,22 +505,30 @@
       this.paused = button("Pause", () => this.pause());
       this.recorded = button("Record", () => this.record());
       this.fastest = Math.max(...Object.values(data.live.ranges["forward, m/s"] || [1]));
-      const drives = Object.keys(data.live.ranges).length > 0, touch = data.live.touchable, { first: { world } } = data;
+      const { home, touchable: touch } = data.live, { first: { world } } = data, poses = Object.keys(home).length > 0;
+      this.drives = !poses && Object.keys(data.live.ranges).length > 0;
       const keys = (part, forth, back) => [this.range(part)[2] > 0 && forth, this.range(part)[1] < 0 && back].filter(Boolean);
       const go = [...keys("forward", "W", "S"), ...keys("left", "A", "D")], turn = keys("turn", "Q", "E");
       const hints = [go.length && `${go.join(" ")} or arrows: go.`, turn.length && `${turn.join(" ")}: turn.`,
-        drives && "Shift: faster. Space: stand.", touch && "Drag the robot: pull it.", data.live.scales.push && "X: push.",
-        "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: restart, all as at first. N: next episode. M: centre of mass."];
+        this.drives && "Shift: faster. Space: stand.", poses && "Space: home posture.",
+        touch && "Drag the robot: pull it.", data.live.scales.push && "X: push.",
+        "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: restart, all as at first. N: next episode.",
+        "M: centre of mass. C: collision shapes."];
       this.panel = make("div", { className: "panel" });
       this.sliders = {};
+      this.joints = make("details", { className: "joints", open: true }, make("summary", {}, "set-points, degrees"));
       for (const [name, [low, high]] of Object.entries(data.live.ranges))
         this.slider(name, low, high, this.told[name], (value) => this.tell({ [name]: value }));
-      const acts = [drives && button("Stand", () => this.stand()), data.live.scales.push && button("Push", () => this.push())];
+      const acts = [(this.drives || poses) && button(poses ? "Home posture" : "Stand", () => this.stand()),
+        data.live.scales.push && button("Push", () => this.push())];
       this.panel.append(make("p", { className: "controls" }, ...acts.filter(Boolean)));
       for (const [name, [low, high, now, words]] of Object.entries(data.live.scales))
         this.slider(words, low, high, name in world ? world[name] : now, (value) => { if (name !== "push") this.send({ [name]: value }); }, name);
+      if (poses) this.panel.append(this.joints);
+      this.switches = { m: this.toggle("Centre of mass", "weighed"),
+        c: this.toggle("Collision shapes", "touching", "Only the orange shapes can touch.") };
       const buttons = [this.paused, button("Restart", () => this.restart()),
-        button("Next episode", () => this.send({ episode: 1 })), button("Centre of mass", () => this.weigh()), this.recorded];
+        button("Next episode", () => this.send({ episode: 1 })), ...Object.values(this.switches), this.recorded];
       this.build(buttons, [0.1, 0.25, 0.5, 1], (pace) => this.send({ pace }), hints.filter(Boolean).join(" "), this.panel);
       const told = this.words;
       this.words = make("strong");
@@ -559,20 +577,33 @@
       this.sending = false;
     }
 
+    // A button that sets and clears a flag of what is drawn; `hint` says what one sees.
+    toggle(words, flag, hint = "") {
+      const made = button(words, () => {
+        this[flag] = !this[flag];
+        made.setAttribute("aria-pressed", this[flag]);
+        this.note(this[flag] ? hint : "");
+      });
+      made.setAttribute("aria-pressed", false);
+      return made;
+    }
+
     slider(words, low, high, now, act, name = words) {
-      const step = Number(((high - low) / 100).toPrecision(1)), output = make("output", {}, now.toFixed(2));
+      const joint = name in this.data.live.home, step = joint ? "any" : Number(((high - low) / 100).toPrecision(1));
+      const output = make("output"), show = (value) => { output.textContent = value.toFixed(joint ? 1 : 2); };
       const input = make("input", { type: "range", min: low, max: high, step, value: now, oninput: () => {
-        output.textContent = Number(input.value).toFixed(2);
+        show(Number(input.value));
         act(Number(input.value));
       } });
-      this.sliders[name] = { input, output };
-      this.panel.append(make("label", {}, make("span", {}, words), input, output));
+      show(now);
+      this.sliders[name] = { input, show };
+      (joint ? this.joints : this.panel).append(make("label", {}, make("span", {}, words), input, output));
     }
 
     show(values) {
       for (const [name, value] of Object.entries(values)) {
         this.sliders[name].input.value = value;
-        this.sliders[name].output.textContent = value.toFixed(2);
+        this.sliders[name].show(value);
       }
     }
     tell(told) {
@@ -580,7 +611,8 @@
       this.show(told);
       this.send({ told });
     }
-    stand() { this.tell(Object.fromEntries(Object.keys(this.told).map((name) => [name, 0]))); }
+    // The command to stand: no velocity, or the set-points of the robot's posture.
+    stand() { this.tell(Object.fromEntries(Object.keys(this.told).map((name) => [name, this.data.live.home[name] || 0]))); }
     // The episode again, the world and the command as at first.
     restart() {
       const { push, ...world } = Object.fromEntries(Object.entries(this.data.live.scales).map(([name, scale]) => [name, scale[2]]));
@@ -592,7 +624,8 @@
 
     // Name, lowest and highest of a part of the command.
     range(part) {
-      const [name, [low, high]] = Object.entries(this.data.live.ranges).find(([each]) => each.match(/^\w*/)[0] === part) || ["", [0, 0]];
+      const named = ([each]) => this.drives && each.match(/^\w*/)[0] === part;
+      const [name, [low, high]] = Object.entries(this.data.live.ranges).find(named) || ["", [0, 0]];
       return [name, low, high];
     }
 
@@ -613,14 +646,14 @@
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       const key = event.key.length > 1 ? event.key : event.key.toLowerCase();
       this.fast = event.shiftKey;
-      if (Object.values(STEERED).some((keys) => keys.includes(key)) && Object.keys(this.told).length) {
+      if (Object.values(STEERED).some((keys) => keys.includes(key)) && this.drives) {
         event.preventDefault();
         if (this.held.has(key) === down) return;
         this.held[down ? "add" : "delete"](key);
         this.steer();
       } else if (down && !event.repeat)
         this.key(event, { " ": () => this.stand(), p: () => this.pause(), r: () => this.restart(),
-          n: () => this.send({ episode: 1 }), m: () => this.weigh(), x: () => this.push() });
+          n: () => this.send({ episode: 1 }), m: () => this.switches.m.click(), c: () => this.switches.c.click(), x: () => this.push() });
     }
     steer() {
       const shares = {}, size = this.fast ? 1 : 0.6;
@@ -652,12 +685,11 @@
 
     viewKeys() {
       const keys = super.viewKeys();
-      if (Object.keys(this.told).length) for (const name of Object.keys(keys)) if (name.startsWith("Arrow")) delete keys[name];
+      if (this.drives) for (const name of Object.keys(keys)) if (name.startsWith("Arrow")) delete keys[name];
       return keys;
     }
     scrolls() { return true; }
     push() { if (this.sliders.push) this.send({ push: Number(this.sliders.push.input.value) }); }
-    weigh() { this.weighed = !this.weighed; this.draw(); }
     pause() { this.send({ paused: !this.latest.paused }); this.latest.paused = !this.latest.paused; this.draw(); }
 
     hold(event) {
@@ -746,7 +778,7 @@
         const commanded = title in this.told, names = Object.keys(lines);
         if (!this.charts.has(title)) {
           const canvas = make("canvas"), legend = make("p", { className: "legend" });
-          const open = commanded || title.startsWith("load") || (!Object.keys(this.told).length && title.startsWith("joint"));
+          const open = commanded || title.startsWith("load") || (!this.drives && title.startsWith("joint"));
           const choice = this.choice(title, names);
           const details = make("details", { open }, make("summary", {}, title), ...(choice ? [choice] : []), canvas, legend);
           this.panel.append(details);

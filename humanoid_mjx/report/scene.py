@@ -142,7 +142,7 @@ def _share(model: mujoco.MjModel, share: float) -> float:
     return two_digits(share * model.stat.extent)
 
 
-def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
+def shape_of(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
     """A geom as `player.js` draws it: kind, size as MuJoCo has it (radius and half lengths, m), and colour, 0 to 1."""
     kind = _KINDS.get(mujoco.mjtGeom(model.geom_type[geom]))
     size = model.geom_size[geom] if kind else model.geom_aabb[geom, 3:]
@@ -213,7 +213,7 @@ def scene_data(motion: Scene, title: str) -> dict[str, Any]:
         "middle": float(motion.middle[0, 2]),
         "grid": motion.grid,
         "arrow": motion.arrow,
-        "shapes": [_shape(motion.model, geom) for geom in motion.shown],
+        "shapes": [shape_of(motion.model, geom) for geom in motion.shown],
     }
 
 

@@ -21,6 +21,7 @@ from humanoid_mjx.control import at_rest
 from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live, LiveMujoco, LiveUnmodified, Stage
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world
+from humanoid_mjx.files import folder
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.report.live import Window, _scales, make_server, serve
 from humanoid_mjx.robot import make_robot
@@ -237,7 +238,7 @@ def test_several_robots_stand_side_by_side(beside):
     bodies, window = running.live.stage.bodies, Window(running.live)
     assert running.tell({"told": {"forward, m/s": 0.6}, "slope": 1.0}) == 204
     running.until(lambda: min(body.speeds[0] for body in bodies) > 0.3)
-    frame, count = window._frame(), len(window.scene.shown)
+    frame, count = window._frame(), len(window.geoms)
     assert frame["episodes"] == [2, 3, 4] and len(frame["shapes"]) == 3 * count and len(frame["torsos"]) == 3
     assert set(frame["charts"]["forward, m/s"]) == {"commanded", "robot 1", "robot 2", "robot 3"}
     assert len({body.speeds[0] for body in bodies}) == 3
@@ -275,6 +276,110 @@ def test_a_robot_that_fell_rests_while_the_other_goes_on(beside):
     assert first.ended is None or np.array_equal(first.data.qpos, lies)
     running.until(lambda: first.ended is None)
     assert live.episodes.tolist() == [2, 1] and second.time > walked + 1.0
+
+
+@pytest.fixture(scope="module", params=[None, "unmodified"])
+def posed(request, tmp_path_factory):
+    """A dog that nobody trained: its shanks and an unseen guard of a thigh touch, and a hip turns without end."""
+    path, robots = tmp_path_factory.mktemp("posed"), folder("robots")
+    text = (robots / "dog.xml").read_text()
+    shank, touch = '<geom type="capsule" fromto="0 0 0 0 0 -0.213" size="0.012"', 'contype="1" conaffinity="1"'
+    guard = f'<geom type="sphere" size="0.03" pos="0 0 -0.1" group="3" mass="0" {touch}/>'
+    for old, new in (
+        (shank, f"{shank} {touch}"),
+        ('<joint name="FR_thigh"', f'{guard}<joint name="FR_thigh"'),
+        ('<joint name="FR_hip"', '<joint name="FR_hip" limited="false"'),
+    ):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    (path / "dog.xml").write_text(text)
+    (path / "pet.yaml").write_text((robots / "dog.yaml").read_text() + "contacts: model\n")
+    running = Running(Live(in_world(find_policy(path / "pet.yaml"), request.param)))
+    running.live.stage.hands.pace = 10.0
+    running.until(lambda: not running.live.words)
+    yield running
+    running.end()
+
+
+def test_a_slider_moves_the_set_point_of_its_joint(posed):
+    """The servo's law gives back the set-points at rest, and the joints follow but for the sag under the weight."""
+    live, robot, (body,) = posed.live, posed.live.task.robot, posed.live.stage.bodies
+    joints = live.model.actuator_trnid[:, 0]
+    places, dofs = live.model.jnt_qposadr[joints], live.model.jnt_dofadr[joints]
+
+    def settles(wanted):
+        def true():
+            torque, angles = body.data.qfrc_actuator[dofs], np.degrees(body.data.qpos[places])
+            aims = angles + np.degrees((torque + robot.servo.damping * body.data.qvel[dofs]) / robot.servo.stiffness)
+            return np.abs(aims - list(wanted.values())).max() < 0.3 and np.abs(angles - aims).max() < 8.0
+
+        posed.until(true)
+
+    home = dict(zip(robot.joints, robot.home, strict=True))
+    assert live.told == pytest.approx(home)
+    settles(home)
+    told = {"FR_thigh": 55.0, "RL_hip": -4.0}
+    assert posed.tell({"told": told}) == 204
+    settles(home | told)
+    # A robot may crouch until its hips are lower than those of one that has fallen.
+    crouch = {name: {"thigh": 73.0, "calf": -140.0}.get(name[3:], 0.0) for name in robot.joints}
+    assert posed.tell({"told": crouch}) == 204
+    settles(crouch)
+    assert body.data.xpos[1, 2] < 0.6 * robot.start_height and body.ended is None
+    assert posed.tell({"told": home}) == posed.tell({"paused": True}) == 204
+    assert posed.tell({"told": {"FR_calf": 1e9, "FL_thigh": -1e9}}) == 204
+    assert live.told == pytest.approx(home | {"FR_calf": np.degrees(-0.888), "FL_thigh": np.degrees(-0.686)})
+    assert live.ranges["FR_hip"] == (-180.0, 180.0)
+    before = dict(live.told)
+    for wrong in ({"FL_wing": 1.0}, {"FR_hip": "1"}, {"FR_hip": None}, {"FR_hip": float("nan")}, {"FR_hip": [1]}, [1]):
+        assert posed.tell({"told": wrong}) == 400 and live.told == before
+    assert posed.tell({"told": home}) == posed.tell({"paused": False}) == 204
+    settles(home)
+
+
+def test_the_page_has_all_shapes_that_touch(posed):
+    """Feet, shanks and the guard; hidden are those of the groups that a viewer hides."""
+    window = posed.server.shown
+    model, data = window.scene.model, re.search(rb'"application/json">(.*?)</script>', window.page())
+    shapes = json.loads(data[1])["shapes"]
+    assert len(shapes) == len(window.now()["shapes"]) == len(window.geoms)
+    bodies = [model.body(model.geom_bodyid[geom]).name for geom in window.geoms]
+    touching = [(body, shape["kind"]) for body, shape in zip(bodies, shapes, strict=True) if shape["touches"]]
+    calves = [f"{leg}_calf" for leg in ("FR", "FL", "RR", "RL")]
+    wanted = [("FR_thigh", "sphere"), *((calf, kind) for calf in calves for kind in ("capsule", "sphere"))]
+    assert sorted(touching) == sorted(wanted)
+    assert [shape["hidden"] for shape in shapes] == (model.geom_group[window.geoms] > 2).tolist()
+    assert all(shape["touches"] for shape in shapes if shape["hidden"])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
+def test_a_robot_is_posed_in_the_browser(posed):
+    """Sliders, the key for the home posture, and the switch of the shapes that touch: nothing else is orange."""
+    live, player = posed.live, "document.querySelector('figure').player"
+    orange = (
+        "(() => { const c = document.querySelector('canvas');"
+        "const p = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; let n = 0;"
+        "for (let i = 0; i < p.length; i += 4) n += p[i] > 1.2 * p[i + 1] && p[i + 1] > 1.2 * p[i + 2]; return n; })()"
+    )
+    with browser() as opened:
+        opened.open(f"http://127.0.0.1:{posed.port}/", 1280, 800)
+        opened.value(f"(() => {{ const {{ input }} = {player}.sliders.FR_thigh; input.value = 50;"
+                     "input.dispatchEvent(new Event('input')); })()")  # fmt: skip
+        posed.until(lambda: live.told["FR_thigh"] == pytest.approx(50.0))
+        assert opened.value("document.querySelectorAll('.joints input').length") == 12
+        opened.press(" ")
+        posed.until(lambda: live.told == pytest.approx(live.home))
+        assert opened.value(f"{player}.sliders.FR_thigh.input.value") == "48"
+        posed.until(lambda: opened.value(orange) == 0)
+        opened.press("c")
+        posed.until(lambda: opened.value(orange) > 300)
+        assert opened.value("document.querySelectorAll('[aria-pressed=true]').length") == 1
+        opened.press("c")
+        posed.until(lambda: opened.value(orange) == 0)
+        opened.size(390, 844)
+        assert opened.value("document.documentElement.scrollWidth") <= 390
+        assert opened.faults == []
 
 
 def test_frames_say_what_there_is_to_see(walking):
@@ -409,7 +514,7 @@ def test_a_robot_with_a_physics_of_its_own_is_seen_but_not_touched():
     thread.join(20)
     frame = window.now()
     assert live.episodes[0] >= 1 and window.number > 5 and "torque, N m" not in frame["charts"]
-    assert len(frame["shapes"]) == len(window.scene.shown)
+    assert len(frame["shapes"]) == len(window.geoms)
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from humanoid_mjx.evaluation.episode import begun, decided, own_data, robot_of, 
 from humanoid_mjx.evaluation.live.body import Grab as Grab
 from humanoid_mjx.evaluation.live.stage import LiveMujoco, LiveUnmodified, Stage
 from humanoid_mjx.evaluation.policy import UNMODIFIED, StoredPolicy, in_world, on_plane
+from humanoid_mjx.evaluation.rest import AtRest, Posed
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.physics.base import where
 from humanoid_mjx.spec import InputError
@@ -42,13 +43,16 @@ class Live:
         except InputError:  # a task with a physics of its own is shown and steered, but nobody can touch it
             self.touchable = False
         task: Any = trained.learner.task.for_driving()
+        task = Posed.of(task) if isinstance(trained.learner, AtRest) else task
         self.trained, self.task = trained, task
         self.learner: Learner = trained.learner.replace(task=task)
         self.model = robot_of(trained)
         self.stage: Stage = task.simulator.stage if self.touchable else Stage(self.model)
         self.stage.fill(robots)
         self.ranges: dict[str, tuple[float, float]] = task.told_ranges
-        self.told = dict.fromkeys(self.ranges, 0.0)
+        self.home: dict[str, float] = task.home if isinstance(task, Posed) else {}
+        """The parts of the command that are set-points of joints: those of the robot's posture, degrees."""
+        self.told = dict.fromkeys(self.ranges, 0.0) | self.home
         """The command that the robots are to follow."""
         self.feet: tuple[str, ...] = getattr(getattr(task, "robot", None), "feet", ()) if self.touchable else ()
         """Bodies whose load is shown."""
