@@ -76,13 +76,17 @@ def test_the_best_of_a_run_is_the_first_of_its_table(leg):
 
 def test_agents_that_do_not_learn(leg):
     """Of each joint the zero agent takes the middle choice: set-points stay. The other takes all choices alike."""
-    best, zero, random = find_policy(leg), [], []
+    best = find_policy(leg)
     state = jax.jit(best.learner.env.reset)(rng.key(0))
-    for name, found in (("zero", zero), ("random", random)):
-        choose = agent(best.learner, best.policy, jnp.int32(AGENTS.index(name)))
-        found.append(jax.vmap(choose, in_axes=(None, 0))(state, jax.random.split(rng.key(1), 3000)))
-    assert (zero[0] == 1).all()
-    shares = np.stack([(random[0] == choice).mean(axis=0) for choice in range(3)])
+
+    @jax.jit
+    def choices(number):
+        choose = agent(best.learner, best.policy, number)
+        return jax.vmap(choose, in_axes=(None, 0))(state, jax.random.split(rng.key(1), 3000))
+
+    zero, random = (np.asarray(choices(jnp.int32(AGENTS.index(name)))) for name in ("zero", "random"))
+    assert (zero == 1).all()
+    shares = np.stack([(random == choice).mean(axis=0) for choice in range(3)])
     # 3,000 draws of a third: four standard deviations are 0.034.
     np.testing.assert_allclose(shares, 1 / 3, atol=0.035)
 

@@ -329,13 +329,13 @@ class Hasty(LinearQ):
 
 def test_an_exploration_of_ones_own_chooses_the_actions_of_training_and_no_others():
     learner = Hasty(task=make_task("leg_reach", duration=0.3), envs=4, rollout=5, epsilon_decay=0.0)
-    carry = learner.init(rng.key(0))
+    carry = jax.jit(learner.init)(rng.key(0))
     value = carry.weights.value.at[..., 2].set(-1.0)  # the third choice is everywhere the worst
     weights = carry.weights._replace(value=value)
     _, experience, _ = jax.jit(learner._collect)(carry._replace(weights=weights), rng.key(1))
     first = np.arange(5) < 3  # an episode has three decisions
     np.testing.assert_array_equal(experience.action, np.broadcast_to(np.where(first, 2, 0)[:, None, None], (5, 4, 5)))
-    greedy = learner.act(weights, carry.envs.state.obs, rng.key(0))
+    greedy = jax.jit(learner.act)(weights, carry.envs.state.obs, rng.key(0))
     assert greedy.shape == (4, 5) and not (greedy == 2).any()
 
 

@@ -126,9 +126,9 @@ def test_printed_rules_give_the_printed_tables(joint, value):
 def test_collective_update_is_the_mean_over_agents():
     task = random_task(1, 6, 3, 6)
     learner = make_learner("tabular_q", task, episodes=100, agents=50, learning_rate=0.5, discount=0.5)
-    before = advance(learner, begin(learner, rng.key(0)), 10)[0].carry
+    before = jax.jit(lambda key: advance(learner, begin(learner, key), 10)[0].carry)(rng.key(0))
     after, _ = jax.jit(learner.train_step)(before)
-    q, agents = np.array(before.q_table), before.agents
+    q, agents = jax.device_get((before.q_table, before.agents))
     expected = q.copy()
     for row in range(6):
         for action in range(3):
