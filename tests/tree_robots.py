@@ -77,7 +77,7 @@ def near_upright(physics: Any) -> Any:
     """Four worlds at rest, their joints up to 0.1 rad away from zero."""
     qpos = np.tile(physics.qpos0, (4, 1))
     qpos[:, 7:] += np.random.default_rng(0).uniform(0, 0.1, (4, 10))
-    return jax.vmap(lambda qpos: physics.start(qpos, np.zeros(16)))(qpos)
+    return jax.jit(jax.vmap(lambda qpos: physics.start(qpos, np.zeros(16))))(qpos)
 
 
 def dropped(

@@ -29,7 +29,7 @@ def module(tmp_path, monkeypatch):
 def test_the_memory_holds_the_last_transitions():
     task = make_task("joint_reach", joint=1, max_episode_steps=7)
     learner = make_learner("replay:ReplayQ", task, capacity=20, envs=3, **SMALL)
-    carry, step, seen = learner.init(key(0)), jax.jit(learner.train_step), []
+    carry, step, seen = jax.jit(learner.init)(key(0)), jax.jit(learner.train_step), []
     for update in range(15):
         before, now = carry.envs.state, carry
         carry, _ = step(carry)
@@ -71,7 +71,7 @@ def test_it_learns_to_reach_postures():
 def test_it_stops_at_its_end_and_refuses_what_cannot_be():
     task = make_task("joint_reach", joint=1)
     learner = make_learner("replay:ReplayQ", task, capacity=20, envs=3, **SMALL | {"total_steps": 30})
-    carry, step = learner.init(key(0)), jax.jit(learner.train_step)
+    carry, step = jax.jit(learner.init)(key(0)), jax.jit(learner.train_step)
     for _ in range(10):
         carry, outcome = step(carry)
     after, nothing = step(carry)

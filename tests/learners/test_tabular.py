@@ -65,6 +65,7 @@ def test_scan_equals_python_step_by_step(seed, rules, rows, success_rate, max_ep
 
 start = jax.jit(jax.vmap(begin, in_axes=(None, 0)))
 chunk = jax.jit(jax.vmap(advance, in_axes=(None, 0, None)))
+curves = jax.jit(jax.vmap(curve, in_axes=(None, 0)))
 
 
 def train_to_end(learner, count=16):
@@ -150,7 +151,7 @@ def test_curve_counts_every_episode_once():
     episodes = training.record[:, :, measures(learner, jax.tree.map(lambda x: x[0], training.carry)).index("episodes")]
     assert (episodes.sum(axis=1) == 60).all()
     assert set(np.unique(episodes)) <= {8.0, 9.0}
-    found = jax.vmap(curve, in_axes=(None, 0))(learner, training)
+    found = curves(learner, training)
     assert (found["success"] == 1).all() and (found["steps"] >= 12).all()
 
 
@@ -159,7 +160,7 @@ def test_the_curve_of_truncated_episodes_has_their_return_and_length():
     task = random_task(0, 2, 1, 2, max_episode_steps=3)
     task = task.replace(next_state=jnp.array([[0], [1]], jnp.int32), reward=jnp.ones((2, 1)), rows=jnp.arange(2))
     learner = make_learner("tabular_q", task, episodes=200, learning_rate=1.0, discount=0.5)
-    found = jax.vmap(curve, in_axes=(None, 0))(learner, train_to_end(learner, 1))
+    found = curves(learner, train_to_end(learner, 1))
     assert (found["return"] == 3).all() and (found["steps"] == 3).all() and (found["success"] == 0).all()
 
 

@@ -46,7 +46,8 @@ def test_jitter_draws_a_longer_delay_for_each_episode():
 
 def test_noise_and_bias_have_the_size_asked_for():
     sensors = Sensors(encoder_noise=0.1, gyroscope_bias=0.2, accelerometer_noise=0.3, accelerometer_bias=0.4)
-    seen = jax.vmap(lambda key: jnp.stack([x[:2] for x in one_and_two(sensors, key)]))(jax.random.split(KEY, 4000))
+    sense = jax.jit(jax.vmap(lambda key: jnp.stack([x[:2] for x in one_and_two(sensors, key)])))
+    seen = np.asarray(sense(jax.random.split(KEY, 4000)))
     first, second = seen[:, :4], seen[:, 4:]
     size = np.asarray(first.std(axis=(0, 2)))
     assert size == pytest.approx([0.1, 0.2, 0.5, 0.0], rel=0.05)

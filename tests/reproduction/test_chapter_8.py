@@ -70,7 +70,7 @@ def test_pushes_come_from_where_the_body_is_told(bearing):
     task = PushedFrom(bearing=bearing, push={"impulse": 0.2, "every": 0.02}, physics="mujoco")
     keys = jax.random.split(jax.random.key(0), 4)
     data = reset(arrays(task), keys).data._replace(first_push=jnp.zeros(4))
-    forces = jax.vmap(task.push_on)(data, keys)
+    forces = np.asarray(jax.jit(jax.vmap(task.push_on))(data, keys))
     w, x, y, z = data.world.qpos[:, 3:7].T
     ahead = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z)])
     along = (forces[:, :2].T * ahead).sum(axis=0) / np.linalg.norm(ahead, axis=0)

@@ -21,7 +21,7 @@ STAND, ON_THE_SPOT = jnp.zeros(3), jnp.array([1e-6, 0.0, 0.0])
 def test_the_clock_turns_while_the_body_is_to_move():
     gait = Steps(period=0.4, cadence=0.5, stance=0.75, lift=10.0, sway=4.0)
     phases = jnp.linspace(0.0, 1.0, 401)[:-1]
-    swing = np.asarray(jax.vmap(lambda phase: gait.swing(phase, BODY))(phases))
+    swing = np.asarray(jax.jit(jax.vmap(lambda phase: gait.swing(phase, BODY)))(phases))
     np.testing.assert_allclose((swing > 1e-6).mean(axis=0), 0.25, atol=0.01)
     np.testing.assert_allclose(swing[:, 0], np.roll(swing[:, 1], 200), atol=1e-5)
     assert not (swing > 1e-6).all(axis=1).any() and swing.max() == pytest.approx(1.0, abs=1e-3)
@@ -30,7 +30,7 @@ def test_the_clock_turns_while_the_body_is_to_move():
         gait.reference(Clock(0.3), STAND, BODY)
     )
     assert gait.cycle_time(jnp.array([0.6, -0.8, 0.5])) == pytest.approx(0.4 / 1.5)
-    motion = jax.vmap(lambda phase: gait.reference(Clock(phase), ON_THE_SPOT, BODY))(phases)
+    motion = jax.jit(jax.vmap(lambda phase: gait.reference(Clock(phase), ON_THE_SPOT, BODY)))(phases)
     motion = np.degrees(motion).reshape(-1, 2, 5)
     pitch, yaw, roll, knee, ankle = motion.transpose(2, 0, 1)
     np.testing.assert_allclose(ankle, pitch - knee, atol=1e-5)

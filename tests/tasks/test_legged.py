@@ -185,7 +185,7 @@ def test_what_is_observed_is_a_tuple_of_names():
 
 def test_commands_keep_to_their_ranges_and_shares():
     command = Velocity(forward=(0.1, 0.5), sideways=(-0.2, 0.0), turn=(-1.0, 2.0), standing=0.25, zero=0.2)
-    drawn = np.asarray(jax.vmap(command.draw)(jax.random.split(rng.key(0), 4000)))
+    drawn = np.asarray(jax.jit(jax.vmap(command.draw))(jax.random.split(rng.key(0), 4000)))
     standing = (drawn == 0).all(axis=1)
     # Of 4000 draws a share of 0.25 is off by 0.007 on average; all three parts are 0 in 0.008 more of them.
     assert standing.mean() == pytest.approx(0.25 + 0.75 * 0.008, abs=0.03)
@@ -254,7 +254,8 @@ def test_each_episode_has_a_world_of_its_own_under_randomisation():
     assert len(np.unique(mass)) == len(KEYS) and 0.8 <= mass.min() < mass.max() <= 1.2
     assert 0.4 <= friction.min() < friction.max() <= 1.2 and np.allclose(limit, task.torque_limit)
     np.testing.assert_array_equal(state.data.plant.mass, mass)
-    draws = jax.vmap(lambda key: task.randomise.draw(task.plant, key))(jax.random.split(rng.key(0), 1000))
+    draw = jax.jit(jax.vmap(lambda key: task.randomise.draw(task.plant, key)))
+    draws = draw(jax.random.split(rng.key(0), 1000))
     # Three in ten thousand means of 1,000 such samples are off by more than 3.6 sigma = 0.013.
     assert draws.mass.mean() == pytest.approx(1.0, abs=0.013) and draws.mass.min() < 0.81 < 1.19 < draws.mass.max()
     none = once(task.replace(randomise=Randomise(mass=0.0, friction=0.0, joint_damping=0.0, torque_limit=0.0)))[1]
@@ -287,7 +288,7 @@ def test_episodes_begin_upright_on_a_terrain_of_their_own(terrain):
 
 def test_an_episode_may_have_a_slope_waves_or_stairs_alone():
     terrain = Terrain(slope=9.0, rough=0.01, stairs=0.02, least=0.5, alone=(0.5, 0.2, 0.1))
-    drawn = jax.vmap(terrain.draw)(jax.random.split(rng.key(0), 1000))
+    drawn = jax.jit(jax.vmap(terrain.draw))(jax.random.split(rng.key(0), 1000))
     shares = np.stack([drawn.slope / 9.0, drawn.rough / 0.01, drawn.stairs / 0.02], axis=1)
     assert ((shares > 0).sum(axis=1) <= 1).all() and shares[shares > 0].min() >= 0.5 - 1e-6
     # The rest are level planes; 3.2 sigma of 1,000 episodes are 0.05.

@@ -17,7 +17,7 @@ def bodies():
     """Two bodies in native MuJoCo, the physics that is ready first, and the step of both."""
     task, keys = make_task("squat", physics="mujoco"), jax.random.split(rng.key(0), 2)
     step = jax.jit(jax.vmap(task.step))
-    return task, jax.vmap(task.reset)(keys), lambda state, *actions: step(state, jnp.array(actions), keys)
+    return task, jax.jit(jax.vmap(task.reset))(keys), lambda state, *actions: step(state, jnp.array(actions), keys)
 
 
 def test_down_and_up_again_is_done_in_six_decisions_and_a_body_that_falls_stands_up_anew(bodies):
