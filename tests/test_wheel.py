@@ -48,13 +48,20 @@ def test_registries_accept_both_files(clean):
     assert done.returncode == 0 and done.stdout.count("PASSED") == 2, done.stdout + done.stderr
 
 
+SEVERAL = """
+import sys
+from humanoid_mjx.cli import app
+for words in sys.argv[1:]:
+    app(words.split(), standalone_mode=False)
+"""
+"""Commands in one process, each a word of several."""
+
+
 def test_what_ships_is_found_by_name(clean):
-    done = clean("-m", "humanoid_mjx", "info", "joint1")
+    done = clean("-c", SEVERAL, "info", "reproduce --list", "info joint1")
     assert done.returncode == 0, done.stderr
-    assert "300 points x 16 seeds" in done.stdout
-    assert "posture_switch" in clean("-m", "humanoid_mjx", "info").stdout.partition("policies")[2]
-    done = clean("-m", "humanoid_mjx", "reproduce", "--list")
-    assert "table-7.1" in done.stdout, done.stderr
+    assert "300 points x 16 seeds" in done.stdout and "table-7.1" in done.stdout
+    assert "posture_switch" in done.stdout.partition("policies")[2]
 
 
 def test_what_ships_is_played(clean):
