@@ -112,7 +112,7 @@ LONGEST = (
         "kept",
         "slurm",
     ),
-    *("on_ray", "physics_worlds", "memory"),
+    *("on_ray", "tabular", "wheel", "ppo", "own_tasks", "fallback", "table_kernels", "physics_worlds", "memory"),
 )
 """Files that begin first, the longest before all, so that no worker ends with one while the other has nothing to do."""
 
