@@ -214,10 +214,11 @@ def test_one_loop_plays_finite_and_continuous_tasks():
     weights = jax.eval_shape(lambda: linear.policy(linear.init(key(0))))
     blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), weights)
     for policy in (train(TABLE, key(0)).policy, Policy(linear, blank)):
-        state = policy.task.reset(key(0))
+        reset, step = jax.jit(policy.task.reset), jax.jit(policy.task.step)
+        state = reset(key(0))
         for number in range(2):
             action = policy(policy.observation(state), key(number))
-            state = policy.task.step(state, action, key(number))
+            state = step(state, action, key(number))
         assert action.shape == (len(policy.task.action_bins),) and state.obs.shape == (policy.task.observation_size,)
 
 

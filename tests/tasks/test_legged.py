@@ -306,6 +306,8 @@ def test_shares_of_a_terrain_are_three_probabilities(alone: tuple[float, ...]):
 
 def test_rewards_of_feet_are_of_those_that_touch():
     task = walk(**EXACT)
+    terms = rewards.schedule, rewards.flight, rewards.slip, rewards.crossing, rewards.clearance, rewards.speed
+    schedule, flight, slip, crossing, clearance, speed = map(jax.jit, terms)
     state = jax.tree.map(lambda x: x[0], reset(arrays(task), KEYS))
     feet = unknown_feet(BODY)._replace(
         position=jnp.array([[0.0, -0.04, 0.025], [0.0, 0.04, 0.025]]), rotation=jnp.tile(jnp.eye(3), (2, 1, 1))
@@ -315,20 +317,20 @@ def test_rewards_of_feet_are_of_those_that_touch():
     view = task.view(data._replace(clock=Clock(jnp.float32(0.2))), None, jnp.zeros(JOINTS))._replace(feet=feet)
     assert view.swing[0] == pytest.approx(1.0, abs=0.01) and view.swing[1] == 0.0
     on_left = feet._replace(corner_force=jnp.array([[0.0] * 4, [4.0] * 4]))
-    assert rewards.schedule(view._replace(feet=on_left)) == 1.0 and rewards.schedule(view) == 0.5
-    assert rewards.flight(view) == 1.0 and rewards.flight(view._replace(feet=on_left)) == 0.0
+    assert schedule(view._replace(feet=on_left)) == 1.0 and schedule(view) == 0.5
+    assert flight(view) == 1.0 and flight(view._replace(feet=on_left)) == 0.0
     sliding = on_left._replace(corner_velocity=feet.corner_velocity.at[:, :, 0].set(0.2))
     # Four of the eight moving corners touch: 10 * 4 * 0.2^2 / 4.
-    assert rewards.slip(view._replace(feet=sliding)) == pytest.approx(0.4, rel=1e-5)
-    assert rewards.slip(view._replace(feet=sliding._replace(corner_force=jnp.zeros((2, 4))))) == 0.0
-    assert rewards.crossing(view) == 0.0
+    assert slip(view._replace(feet=sliding)) == pytest.approx(0.4, rel=1e-5)
+    assert slip(view._replace(feet=sliding._replace(corner_force=jnp.zeros((2, 4))))) == 0.0
+    assert crossing(view) == 0.0
     crossed = feet._replace(position=feet.position[::-1])
-    assert rewards.crossing(view._replace(feet=crossed)) == 2.0
+    assert crossing(view._replace(feet=crossed)) == 2.0
     lifted = on_left._replace(corners=feet.corners.at[0, :, 2].set(0.03))
-    assert rewards.clearance(view._replace(feet=lifted)) == pytest.approx(1.0, abs=0.01)
+    assert clearance(view._replace(feet=lifted)) == pytest.approx(1.0, abs=0.01)
     slow = view.episode._replace(command=jnp.array([0.1, 0.0, 0.0]))
     late, now, still = (
-        rewards.speed(view._replace(episode=episode))
+        speed(view._replace(episode=episode))
         for episode in (slow._replace(tracking_error=jnp.array([-0.1, 0.0, 0.0])), slow, slow._replace(command=STAND))
     )
     assert late < now < still == 1.0
