@@ -44,7 +44,7 @@ def errors_along(
       start: where the leg is at rest, (5,) rad. Of a batch of legs give each a start of its own, although all are
         alike: then jax traces the motion once, not twice.
       path: the plan, if it is not the thesis's.
-      integrator, how: as in `dynamics.rollout`.
+      integrator: as in `dynamics.rollout`, as are the other keywords.
     """
     plan, steps = path or thesis_quintics(), round(thesis.QUINTIC_S / step_s)
 
