@@ -52,6 +52,15 @@ def test_a_missing_package_is_named_with_what_brings_it(tmp_path):
         make_robot(str(tmp_path / "r.yaml"))
 
 
+@pytest.mark.parametrize("name", ["walk_go1", "walk_g1"])
+def test_policies_of_public_robots_ship_and_name_the_package_that_they_need(name):
+    if importlib.util.find_spec("mujoco_playground") is None:
+        with pytest.raises(InputError, match=r"the package 'mujoco_playground' .* pip install playground"):
+            find_policy(name)
+        return
+    assert find_policy(name).learner.task.robot.name == name.removeprefix("walk_")
+
+
 BODY = """
 <body name="trunk" pos="0 0 .4"><freejoint/><geom type="box" size=".2 .08 .05" mass="6"/>LOOKS
   <replicate count="2" sep="_" offset="-.36 0 0"><replicate count="2" sep="_" offset="0 -.24 0">
