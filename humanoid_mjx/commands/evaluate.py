@@ -69,7 +69,9 @@ def _successes(
         bar.phase("compiling and playing")
         evaluations = evaluate_all(policies, episodes)
     title = f"{episodes:,} episodes that no training has seen{_changes(worlds[0], overrides)}"
-    remarks = *words_on_returns(policies, evaluations), *played_by(policies)
+    remarks = [*words_on_returns(policies, evaluations), *played_by(policies)]
+    if any(getattr(each.learner.task, "command", None) for each in policies):
+        remarks.append("success is to stay upright; evaluate --gait says whether a robot also goes as it is told.")
     console.print(evaluation_table(title, evaluations), *remarks, sep="\n")
     parts = {"evaluations": evaluations, "policies": policies}
     return {"set": list(overrides)} | {name: [each.as_json() for each in part] for name, part in parts.items()}

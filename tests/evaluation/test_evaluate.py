@@ -217,6 +217,7 @@ def test_a_policy_is_shown_in_the_file_of_its_robot_beside_its_own_world(tmp_pat
     for words in (
         "2 episodes that no training has seen, physics mujoco",
         "walk_dog (greedy)",
+        "success is to stay upright; evaluate --gait says whether a robot also goes as it is told",
         "walk_dog, unmodified (gre",
     ):
         assert words in output
