@@ -107,6 +107,8 @@ def computed(
         return _rounded(params, vector(args[0]))
     if name == "erf_inv":
         return inverse_of_erf(vector(args[0]))
+    if name.startswith("shift") and not (are_known(args[1:]) and 0 <= args[1] < 32):
+        return _shifted(operation, *map(vector, args))
     if all(np.ndim(arg) == 0 for arg in args):  # the same in all worlds
         return bind(*map(jnp.asarray, args), **params)
     if name in ANGLES:
@@ -160,6 +162,14 @@ def _rounded(params: dict[str, Any], x: Array) -> Array:
         raise NotImplementedError("threads round to even numbers")
     whole = 1.5 * 2**23  # floats of this size have no fraction
     return jnp.where(jnp.abs(x) < 2**22, (x + whole) - whole, x)
+
+
+def _shifted(operation: Operation, x: Array, by: Array) -> Array:
+    """Shift as XLA does by 32 or more, of which the compilers of kernels may make anything."""
+    inside, fill = (by >= 0) & (by < 32), jnp.zeros_like(x)
+    if operation.name == "shift_right_arithmetic":
+        fill = jnp.where(x < 0, -1, fill)
+    return jnp.where(inside, operation.bind(x, by & 31), fill)
 
 
 NEAR_ERF = 2.81022636e-8, 3.43273939e-7, -3.5233877e-6, -4.39150654e-6, 2.1858087e-4, -1.25372503e-3, -4.17768164e-3

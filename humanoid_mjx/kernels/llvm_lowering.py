@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial, reduce
+from itertools import accumulate, compress
 from typing import Any
 
 import numpy as np
@@ -112,13 +113,15 @@ def _computed(code: Code, name: str, params: dict[str, Any], args: list[Value], 
     elif name == "square":
         return again("mul", params, [first, first])
     elif name == "integer_pow" and params["y"] > 0:
-        return reduce(lambda power, _: again("mul", params, [power, first]), range(params["y"] - 1), first)
+        digits = [int(digit) for digit in f"{params['y']:b}"[::-1]]
+        squares = accumulate(digits[1:], lambda x, _: again("mul", params, [x, x]), initial=first)
+        return reduce(lambda one, two: again("mul", params, [one, two]), compress(squares, digits))  # in jax's order
     elif name == "sign" and real:
         one = code.call(kind, f"copysign.{suffix}", (kind, constant(1)), (kind, x[0]))
         moves = code.value(f"fcmp one {kind} {x[0]}, {constant(0)}")
         found = code.value(f"select {type_of(bool, alike)} {moves}, {kind} {one}, {kind} {x[0]}")
     elif name == "sign":
-        return again("min", params, [again("max", params, [first, known(-1, dtype)]), known(1, dtype)])
+        return again("min", params, [again("max", params, [first, known(-signed, dtype)]), known(1, dtype)])
     elif name == "bitcast_convert_type":
         found = code.value(f"bitcast {kind} {x[0]} to {type_of(dtype, alike)}")
     elif name == "is_finite":

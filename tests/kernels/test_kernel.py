@@ -207,12 +207,23 @@ NUMBERS = {
 
 def _of_integers(x, y):
     divided = jax.lax.div(x, jnp.int32(3)), jax.lax.rem(x, jnp.int32(3))
-    return *divided, x & y, x | y, x ^ y, ~x, x + y, x * y, -x, abs(x), jnp.maximum(x, y), x < y, x + 0.5
+    shifts = jnp.left_shift, jnp.right_shift, jax.lax.shift_right_logical
+    shifted = [shift(x, by) for shift in shifts for by in (y & 63, jnp.int32(40), jnp.int32(5))]
+    return *divided, *shifted, x & y, x | y, x ^ y, ~x, x + y, x * y, -x, abs(x), jnp.maximum(x, y), x < y, x + 0.5
 
 
 def _of_words(x, y):
     top = y + jnp.uint32(2**31)
-    return x + top, x < top, jnp.minimum(x, top), jnp.maximum(x, top), top.astype(jnp.float32), top.astype(jnp.int32)
+    return (
+        jnp.sign(x),
+        x << y,
+        x + top,
+        x < top,
+        jnp.minimum(x, top),
+        jnp.maximum(x, top),
+        top.astype(jnp.float32),
+        top.astype(jnp.int32),
+    )
 
 
 def _of_flags(x, y):
