@@ -29,7 +29,8 @@ def _broadcast_in_dim(params: dict[str, Any], array: np.ndarray) -> list[np.ndar
 
 
 def _slice(params: dict[str, Any], array: np.ndarray) -> list[np.ndarray]:
-    steps = params["strides"] or [1] * array.ndim
+    """Slice the first axes; random keys have one more, of their words."""
+    steps = params["strides"] or [1] * len(params["start_indices"])
     places = zip(params["start_indices"], params["limit_indices"], steps, strict=True)
     return [array[tuple(slice(*place) for place in places)]]
 

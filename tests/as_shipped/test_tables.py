@@ -30,10 +30,10 @@ class Drift(FiniteTask):
         return jax.random.randint(key, (), 0, 4)
 
     def step(self, state, action, key):
-        wind = jnp.where(jax.random.bernoulli(key, 0.3), 1, 0)
+        wind = jnp.where(jax.random.bernoulli(jax.random.split(key, 3)[1], 0.3), 1, 0)
         state = (state + action + wind) % 12
         floor = jnp.asarray(np.linspace(-0.7, 0.4, 12, dtype=np.float32))
-        return state, floor[state] / 3, state == 11
+        return state, floor[state] / 3 + (0.7 + floor[state]) ** 7, state == 11
 
 
 TASKS = {
