@@ -419,8 +419,8 @@ class Threads:
         uniform = [False] * len(args[last:])
         if self.single:
             same = [not isinstance(arg, Kept) and all(np.ndim(x) == 0 for x in arg.flat) for arg in args]
-            uniform = uniform_carry(eqn, same)
-            if uniform_results(eqn.params["cond_jaxpr"].jaxpr, [*same[:first], *uniform]) != [True]:
+            uniform = uniform_carry(eqn, same, of_one=True)
+            if uniform_results(eqn.params["cond_jaxpr"].jaxpr, [*same[:first], *uniform], of_one=True) != [True]:
                 raise NotImplementedError("threads know no loop that ends earlier in one world than in another")
         given = self._with_room(args, _looked_up_in_loop(eqn, {*ENTRIES, SUM}), last)
         cond_fixed, body_fixed, start = given[:first], given[first:last], given[last:]
@@ -501,7 +501,8 @@ class Threads:
             carry = found[:kept]
             seen.append(found[kept:])
         seen = seen[::-1] if eqn.params["reverse"] else seen
-        return [*carry, *(np.stack(column) for column in zip(*seen, strict=True))]
+        nothing = (constant(np.zeros(x.aval.shape)) for x in eqn.outvars[kept:])  # of no steps
+        return [*carry, *(map(np.stack, zip(*seen, strict=True)) if seen else nothing)]
 
     def _any(self, flag: Element) -> Array:
         return self.any_of(vector(self._alike(flag)))

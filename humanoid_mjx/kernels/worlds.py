@@ -108,6 +108,8 @@ def why_not(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[boo
         BACK_ENDS[jax.default_backend()][2](signature_of_one(function, args, many))
     except NotImplementedError as reason:
         return str(reason)
+    except Exception as error:  # whatever it is, XLA does not need it
+        return fallback.warn(error)
     return None
 
 

@@ -445,6 +445,25 @@ def test_a_short_loop_of_many_operations_is_not_unrolled():
     np.testing.assert_allclose(found, expected, atol=1e-4)  # 560 sines in turn, each with an error of 1.2e-7
 
 
+def test_loops_of_a_world_go_by_its_own_numbers():
+    """Whether any of a world's numbers is large is not the same in all worlds."""
+
+    def halved(row):
+        return jax.lax.while_loop(lambda row: (abs(row) > 1.0).any(), lambda row: 0.5 * row, row)
+
+    def seen(row, count):
+        def step(_, carry):
+            return carry[0] | (carry[1] > 1.0).any(), 0.5 * carry[1]
+
+        nothing = jax.lax.scan(lambda x, _: (x, x), row, length=0)
+        return *jax.lax.fori_loop(0, count, step, (jnp.bool_(False), row)), *nothing
+
+    assert "ends earlier in one world" in str(worlds.why_not(halved, (X[0],), (True,)))
+    assert worlds.why_not(seen, (X[0], jnp.int32(2)), (True, False)) is None
+    found, expected = (jax.jit(jax.vmap(each, (0, None)))(X[0], 2) for each in (worlds.kernel(seen), seen))
+    jax.tree.map(np.testing.assert_array_equal, found, expected)
+
+
 MAPS = {
     "once": lambda f: jax.vmap(f, (0, None, None))(X[0], Y[0], 3),
     "nested": lambda f: jax.vmap(jax.vmap(f, (0, None, None)), (0, 0, None))(X, Y, jnp.int32(3)),
