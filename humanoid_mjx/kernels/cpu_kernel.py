@@ -17,7 +17,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from humanoid_mjx.files import read_sealed, write_sealed
@@ -295,7 +294,7 @@ def _places(code: Code, arrays: str, kinds: Sequence[Kind]) -> list[Value]:
 
 def _loaded(code: Code, at: Value) -> Value:
     flags = at.dtype.kind == "b"
-    kind = type_of(np.int8 if flags else at.dtype, at.alike)
+    kind = type_of(at.dtype, at.alike).replace("i1", "i8")  # flags are bytes there
     name = code.value(f"load {kind}, ptr {at.name}, align {1 if flags else 4}")
     return replace(at, name=code.value(f"trunc {kind} {name} to {at.type}") if flags else name)
 

@@ -31,7 +31,7 @@ class Value:
 
 def type_of(dtype: Any, alike: bool) -> str:
     """LLVM's type of a scalar, or of a vector."""
-    kind = {"bool": "i1", "int8": "i8", "int32": "i32", "uint32": "i32", "float32": "float"}.get(np.dtype(dtype).name)
+    kind = {"bool": "i1", "int32": "i32", "uint32": "i32", "float32": "float"}.get(np.dtype(dtype).name)
     if kind is None:
         raise NotImplementedError(f"kernels know no {dtype}")
     return kind if alike else f"<{WIDTH} x {kind}>"
