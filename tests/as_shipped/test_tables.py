@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from humanoid_mjx import make_learner, make_task
+from humanoid_mjx import compute, make_learner, make_task
 from humanoid_mjx.compute import rng
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.training.program import begin, train
-from humanoid_mjx.training.programs import TRAIN, why_no_kernel
+from humanoid_mjx.training.programs import TRAIN, placement, why_no_kernel
 
 RUNS = 21
 """More than a vector, and no whole number of vectors."""
@@ -99,3 +99,19 @@ def test_the_scan_trains_what_a_kernel_cannot(values):
     learners, start = runs_of(make_task("joint_reach", states=6), **values)
     scan, tried = (jax.jit(jax.vmap(each, in_axes=(0, 0, None)))(learners, start, 64) for each in (train, TRAIN))
     np.testing.assert_array_equal(tried.carry.q_table, scan.carry.q_table)
+
+
+def test_one_table_that_the_scan_trains_is_what_it_would_be_among_others():
+    task = make_task("navigate", success_rate=0.9, step_reward=-0.23)
+    learner = make_learner("tabular_q", task, learning_rate=0.3, initial_spread=1.0, evaluations=2)
+    options = compute.compiler_options(task.arithmetic, learner.program)
+    tables = []
+    for runs in (1, 9):
+        size, _ = placement(learner, runs, room=99)
+        learners = jax.tree.map(lambda x, size=size: jnp.full(size, x), learner)
+        start = jax.jit(jax.vmap(begin))(
+            learners, jax.vmap(jax.random.fold_in, (None, 0))(rng.key(3), jnp.arange(size))
+        )
+        scan = jax.jit(jax.vmap(train, in_axes=(0, 0, None)), compiler_options=options)
+        tables.append(scan(learners, start, 700).carry.q_table[0])
+    np.testing.assert_array_equal(*tables)
