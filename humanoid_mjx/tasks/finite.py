@@ -62,7 +62,7 @@ class FiniteTask(Task):
     def observe(self, state: Any) -> Float[Array, " observation_size"]:
         """Return the observation of a learner without a table, numbers from 0 to 1: here the row's place in the
         table."""
-        return jnp.asarray(self.state_index(state), jnp.float32)[None] / (self.num_states - 1)
+        return jnp.asarray(self.state_index(state), jnp.float32)[None] / max(self.num_states - 1, 1)
 
     @property
     def action_bins(self) -> tuple[int, ...]:

@@ -236,6 +236,19 @@ class Ring(Row):
         return (state + action) % 3, 0.5, jnp.bool_(False)
 
 
+class Bandit(Row):
+    num_states: ClassVar = 1
+
+    def step(self, state, action, key):
+        return state, jnp.float32(action), jnp.bool_(True)
+
+
+def test_a_bandit_has_one_state():
+    check_task(Bandit())
+    trained = train(make_learner("tabular_q", Bandit(), episodes=50, learning_rate=1.0), key(0))
+    assert trained.policy.weights.tolist() == [[0.0, 1.0]]
+
+
 @pytest.mark.parametrize(
     ("fault", "says"),
     {
