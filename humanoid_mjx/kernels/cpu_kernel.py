@@ -271,13 +271,13 @@ def _places(code: Code, arrays: str, kinds: Sequence[Kind]) -> list[Value]:
     """The addresses of the numbers of arrays, `given` or `found`, that are not in memory. Memory gets a name."""
     places = []
     for index, kind in enumerate(kinds):
-        if kind.stays and arrays == "found":
+        if kind.in_memory and arrays == "found":
             continue
         at = code.value(f"getelementptr ptr, ptr %{arrays}, i64 {index}")
         buffer = code.value(f"load ptr, ptr {at}, align 8")
         at = code.value(f"getelementptr i8, ptr {buffer}, i64 24")
         data, size = code.value(f"load ptr, ptr {at}, align 8"), kind.dtype.itemsize
-        if kind.stays:
+        if kind.in_memory:
             if size != 4:
                 raise NotImplementedError("kernels look up entries of 32 bits")
             first = code.value(f"mul i64 %first, {4 * kind.size}")
@@ -294,7 +294,7 @@ def _places(code: Code, arrays: str, kinds: Sequence[Kind]) -> list[Value]:
 
 def _loaded(code: Code, at: Value) -> Value:
     flags = at.dtype.kind == "b"
-    kind = type_of(at.dtype, at.alike).replace("i1", "i8")  # flags are bytes there
+    kind = type_of(at.dtype, at.uniform).replace("i1", "i8")  # flags are bytes there
     name = code.value(f"load {kind}, ptr {at.name}, align {1 if flags else 4}")
     return replace(at, name=code.value(f"trunc {kind} {name} to {at.type}") if flags else name)
 

@@ -66,10 +66,10 @@ def call(
     """Call a function of one world, each in a thread; see `cpu_kernel.call`."""
     found, in_place, constants = kinds_of_results(known)
     flat = [
-        leaf.reshape((worlds, -1) if kind.stays else -1).astype(_stored(kind.dtype))
+        leaf.reshape((worlds, -1) if kind.in_memory else -1).astype(_stored(kind.dtype))
         for leaf, kind in zip(leaves, known.given, strict=True)
     ]
-    shapes = [(worlds, kind.size) if kind.stays else (kind.size * worlds,) for kind in found]
+    shapes = [(worlds, kind.size) if kind.in_memory else (kind.size * worlds,) for kind in found]
     results = pl.pallas_call(
         partial(_kernel_of_one, known=known, in_place=in_place, worlds=worlds, interpret=interpret),
         grid=(worlds // THREADS,),
@@ -146,7 +146,7 @@ def _kernel_of_one(*refs: Any, known: Signature, in_place: dict[int, int], world
     rows, found, _ = known.evaluate(threads, numbers, memory)
     rest = iter(rows)
     for ref, kind in zip(out, found, strict=True):
-        for row in range(0 if kind.stays else kind.size):
+        for row in range(0 if kind.in_memory else kind.size):
             gpu.store(ref.at[row * worlds + world], next(rest).astype(_stored(kind.dtype)))
     for place in sorted(in_place):
         regions[place].leave(out[in_place[place]], world)

@@ -21,20 +21,20 @@ class Value:
 
     name: str
     dtype: np.dtype
-    alike: bool
+    uniform: bool
     """True for a scalar, which is the same in all worlds."""
 
     @property
     def type(self) -> str:
-        return type_of(self.dtype, self.alike)
+        return type_of(self.dtype, self.uniform)
 
 
-def type_of(dtype: Any, alike: bool) -> str:
+def type_of(dtype: Any, uniform: bool) -> str:
     """LLVM's type of a scalar, or of a vector."""
     kind = {"bool": "i1", "int32": "i32", "uint32": "i32", "float32": "float"}.get(np.dtype(dtype).name)
     if kind is None:
         raise NotImplementedError(f"kernels know no {dtype}")
-    return kind if alike else f"<{WIDTH} x {kind}>"
+    return kind if uniform else f"<{WIDTH} x {kind}>"
 
 
 def known(number: Any, dtype: Any) -> Value:
@@ -83,7 +83,7 @@ class Code:
 
     def vector(self, value: Value) -> str:
         """The name of a value as a vector."""
-        if not value.alike:
+        if not value.uniform:
             return value.name
         if value.name[0] != "%":
             return f"splat ({value.type} {value.name})"

@@ -37,7 +37,7 @@ def lower(code: Code, closed: ClosedJaxpr, args: Sequence[Value]) -> list[Value]
     values: dict[Any, Value] = dict(zip(closed.jaxpr.invars, args, strict=True))
     for var, constant in zip(closed.jaxpr.constvars, map(np.asarray, closed.consts), strict=True):
         if (constant != constant.flat[0]).any():
-            raise NotImplementedError("kernels know constants that are alike in all worlds")
+            raise NotImplementedError("kernels know constants that are the same in all worlds")
         values[var] = known(constant.flat[0], constant.dtype)
 
     def value(x: Any) -> Value:
@@ -69,16 +69,16 @@ def _lowered(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
 
 def _computed(code: Code, name: str, params: dict[str, Any], args: list[Value], dtype: Any) -> Value:
     """Arithmetic on each number."""
-    alike, first = all(arg.alike for arg in args), args[0]
-    x = [arg.name if alike else code.vector(arg) for arg in args]
-    kind, real, flags = type_of(first.dtype, alike), first.dtype.kind == "f", first.dtype == bool
+    uniform, first = all(arg.uniform for arg in args), args[0]
+    x = [arg.name if uniform else code.vector(arg) for arg in args]
+    kind, real, flags = type_of(first.dtype, uniform), first.dtype.kind == "f", first.dtype == bool
     signed = first.dtype.kind == "i"
-    suffix = f"{'' if alike else f'v{WIDTH}'}{'f32' if real else 'i32'}"
+    suffix = f"{'' if uniform else f'v{WIDTH}'}{'f32' if real else 'i32'}"
     again = partial(_computed, code, dtype=dtype)
 
     def constant(number: Any) -> str:
         value = known(number, first.dtype)
-        return value.name if alike else code.vector(value)
+        return value.name if uniform else code.vector(value)
 
     def call(function: str, *others: tuple[str, str]) -> str:
         return code.call(kind, f"{function}.{suffix}", *((kind, each) for each in x), *others)
@@ -94,7 +94,7 @@ def _computed(code: Code, name: str, params: dict[str, Any], args: list[Value], 
         prefix = ("u" if name == "ne" else "o") if real else "" if name in ("eq", "ne") else "s" if signed else "u"
         found = code.value(f"{'fcmp' if real else 'icmp'} {prefix}{name} {kind} {x[0]}, {x[1]}")
     elif name == "select_n" and len(args) == 3:
-        other = type_of(args[1].dtype, alike)
+        other = type_of(args[1].dtype, uniform)
         found = code.value(f"select {kind} {x[0]}, {other} {x[2]}, {other} {x[1]}")
     elif name == "not":
         found = code.value(f"xor {kind} {x[0]}, {constant(1 if flags else -1)}")
@@ -119,23 +119,23 @@ def _computed(code: Code, name: str, params: dict[str, Any], args: list[Value], 
     elif name == "sign" and real:
         one = code.call(kind, f"copysign.{suffix}", (kind, constant(1)), (kind, x[0]))
         moves = code.value(f"fcmp one {kind} {x[0]}, {constant(0)}")
-        found = code.value(f"select {type_of(bool, alike)} {moves}, {kind} {one}, {kind} {x[0]}")
+        found = code.value(f"select {type_of(bool, uniform)} {moves}, {kind} {one}, {kind} {x[0]}")
     elif name == "sign":
         return again("min", params, [again("max", params, [first, known(-signed, dtype)]), known(1, dtype)])
     elif name == "bitcast_convert_type":
-        found = code.value(f"bitcast {kind} {x[0]} to {type_of(dtype, alike)}")
+        found = code.value(f"bitcast {kind} {x[0]} to {type_of(dtype, uniform)}")
     elif name == "is_finite":
         found = code.value(f"fcmp olt {kind} {call('fabs')}, {constant(np.inf)}")
     elif name == "convert_element_type":
         return _converted(code, first, np.dtype(dtype), kind, constant(0), suffix)
     else:
         raise NotImplementedError(f"kernels of a CPU do no {name!r}")
-    return Value(found, np.dtype(dtype), alike)
+    return Value(found, np.dtype(dtype), uniform)
 
 
 def _converted(code: Code, value: Value, dtype: np.dtype, kind: str, zero: str, suffix: str) -> Value:
     """A value as one of another type."""
-    before, name, wanted = value.dtype.kind, value.name, type_of(dtype, value.alike)
+    before, name, wanted = value.dtype.kind, value.name, type_of(dtype, value.uniform)
     if value.dtype == dtype:
         return value
     if dtype.kind == "b":
@@ -144,28 +144,28 @@ def _converted(code: Code, value: Value, dtype: np.dtype, kind: str, zero: str, 
         found = _to_integer(code, value, dtype, suffix)
     elif before == "b":
         one, none = (known(x, dtype) for x in (1, 0))
-        one, none = (x.name if value.alike else code.vector(x) for x in (one, none))
+        one, none = (x.name if value.uniform else code.vector(x) for x in (one, none))
         found = code.value(f"select {kind} {name}, {wanted} {one}, {wanted} {none}")
     elif dtype.kind == "f":
         found = code.value(f"{'sitofp' if before == 'i' else 'uitofp'} {kind} {name} to {wanted}")
     else:
         found = name
-    return Value(found, dtype, value.alike)
+    return Value(found, dtype, value.uniform)
 
 
 def _to_integer(code: Code, value: Value, dtype: np.dtype, suffix: str) -> str:
     """The nearest integer towards zero that there is; 0 of NaN. LLVM's own, `fptosi.sat`, is no vector instruction."""
-    kind, wanted, limits = value.type, type_of(dtype, value.alike), np.iinfo(dtype)
+    kind, wanted, limits = value.type, type_of(dtype, value.uniform), np.iinfo(dtype)
 
     def constant(number: Any, dtype: Any = np.float32) -> str:
         x = known(number, dtype)
-        return x.name if value.alike else code.vector(x)
+        return x.name if value.uniform else code.vector(x)
 
     most = np.nextafter(np.float32(limits.max), np.float32(0))
     clamped = code.call(kind, f"maxnum.{suffix}", (kind, value.name), (kind, constant(limits.min)))
     clamped = code.call(kind, f"minnum.{suffix}", (kind, clamped), (kind, constant(most)))
     found = code.value(f"fpto{dtype.kind.replace('i', 's')}i {kind} {clamped} to {wanted}")
-    flags = type_of(bool, value.alike)
+    flags = type_of(bool, value.uniform)
     for test, other, number in ("oge", constant(limits.max), limits.max), ("uno", value.name, 0):
         flag = code.value(f"fcmp {test} {kind} {value.name}, {other}")
         found = code.value(f"select {flags} {flag}, {wanted} {constant(number, dtype)}, {wanted} {found}")
@@ -175,16 +175,16 @@ def _to_integer(code: Code, value: Value, dtype: np.dtype, suffix: str) -> str:
 def _while(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
     params, number = eqn.params, next(code.numbers)
     first, last = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
-    alike, start, before = uniform_carry(eqn, [arg.alike for arg in args]), args[last:], code.label
+    uniform, start, before = uniform_carry(eqn, [arg.uniform for arg in args]), args[last:], code.label
 
     def names(values: Sequence[Value]) -> list[str]:
-        return [value.name if same else code.vector(value) for value, same in zip(values, alike, strict=True)]
+        return [value.name if same else code.vector(value) for value, same in zip(values, uniform, strict=True)]
 
     begun = names(start)
     code.add(f"br label %head{number}")
     code.begin(f"head{number}")
     place = len(code.lines)
-    carry = [Value(f"%c{next(code.numbers)}", x.dtype, same) for x, same in zip(start, alike, strict=True)]
+    carry = [Value(f"%c{next(code.numbers)}", x.dtype, same) for x, same in zip(start, uniform, strict=True)]
     (more,) = lower(code, params["cond_jaxpr"], [*args[:first], *carry])
     code.add(f"br i1 {more.name}, label %body{number}, label %end{number}")
     code.begin(f"body{number}")
@@ -200,21 +200,21 @@ def _while(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
 
 def _cond(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
     number, (index, *given), branches = next(code.numbers), args, eqn.params["branches"]
-    flags = [arg.alike for arg in given]
-    alike = [all(each) for each in zip(*(uniform_results(branch.jaxpr, flags) for branch in branches), strict=True)]
+    flags = [arg.uniform for arg in given]
+    uniform = [all(each) for each in zip(*(uniform_results(branch.jaxpr, flags) for branch in branches), strict=True)]
     chosen = _converted(code, index, np.dtype(bool), index.type, "0", "")
     code.add(f"br i1 {chosen.name}, label %yes{number}, label %no{number}")
     found = []
     for label, branch in zip((f"no{number}", f"yes{number}"), branches, strict=True):
         code.begin(label)
         values = lower(code, branch, given)
-        names = [value.name if same else code.vector(value) for value, same in zip(values, alike, strict=True)]
+        names = [value.name if same else code.vector(value) for value, same in zip(values, uniform, strict=True)]
         found.append([f"[ {name}, %{code.label} ]" for name in names])
         code.add(f"br label %join{number}")
     code.begin(f"join{number}")
     return [
         Value(code.value(f"phi {type_of(x.aval.dtype, same)} {one}, {two}"), np.dtype(x.aval.dtype), same)
-        for x, same, one, two in zip(eqn.outvars, alike, *found, strict=True)
+        for x, same, one, two in zip(eqn.outvars, uniform, *found, strict=True)
     ]
 
 

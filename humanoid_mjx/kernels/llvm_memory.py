@@ -96,7 +96,7 @@ def _read(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
 
 def _loaded(code: Code, address: Value, dtype: np.dtype, apart: int) -> Value:
     """What is at an address, or at one for each world; `apart`: numbers from one word to the next."""
-    if address.alike:
+    if address.uniform:
         kind = type_of(dtype, apart == 1)
         return Value(code.value(f"load {kind}, ptr {address.name}, align {4 * apart}"), dtype, apart == 1)
     kind, pointers = type_of(dtype, False), f"<{WIDTH} x ptr>"
@@ -114,7 +114,7 @@ def _written(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
 def _added(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
     """Products are rounded before they are added, as by XLA."""
     if len(args) > 3 and isinstance(params["region"], str):
-        return _added_seldom(code, params, replace(args[1], name=code.vector(args[1]), alike=False), args[2:])
+        return _added_seldom(code, params, replace(args[1], name=code.vector(args[1]), uniform=False), args[2:])
     for word, change in enumerate(args[2:], params["word"]):
         address = _address(code, params | {"word": word}, args[1:2])
         old = _loaded(code, address, change.dtype, WIDTH)
@@ -169,7 +169,7 @@ def _added_seldom(code: Code, params: dict[str, Any], place: Value, changes: lis
 
 def _store(code: Code, value: Value, address: Value) -> Value:
     kind, vector = type_of(value.dtype, False), code.vector(value)
-    if address.alike:
+    if address.uniform:
         code.add(f"store {kind} {vector}, ptr {address.name}, align {4 * WIDTH}")
     else:
         name = f"masked.scatter.v{WIDTH}{'f32' if value.dtype.kind == 'f' else 'i32'}.v{WIDTH}p0"
@@ -208,7 +208,7 @@ def _constant(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
 def _beyond(code: Code, base: str, word: int, place: list[Value], apart: int, lanes: str) -> Value:
     """The address of a word, so many words from a place, with words so many numbers apart."""
     pointer = np.dtype(np.int32)  # LLVM's pointers have no type
-    if all(each.alike for each in place):
+    if all(each.uniform for each in place):
         index = f"add i32 {place[0].name if place else 0}, {word}"
         index = code.value(f"mul i32 {code.value(index)}, {apart}")
         return Value(code.value(f"getelementptr i32, ptr {base}, i32 {index}"), pointer, True)

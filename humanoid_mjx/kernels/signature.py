@@ -33,10 +33,10 @@ class Kind(NamedTuple):
 
     def of_all(self, worlds: int) -> tuple[int, ...]:
         """Return the shape for all worlds."""
-        return (worlds, *self.shape) if self.stays else (*self.shape, worlds)
+        return (worlds, *self.shape) if self.in_memory else (*self.shape, worlds)
 
     @property
-    def stays(self) -> bool:
+    def in_memory(self) -> bool:
         """True for an array that is not taken apart into numbers."""
         return self.role in ("memory", "record")
 
@@ -66,7 +66,7 @@ class Signature:
         rest, args, rows, found, in_place = iter(numbers), [], [], [], {}
         for place, (kind, var) in enumerate(zip(self.given, self.traced.jaxpr.invars, strict=True)):
             shape = kind.shape if self.single else var.aval.shape  # pyright: ignore[reportAttributeAccessIssue]
-            if memory and kind.stays:
+            if memory and kind.in_memory:
                 threads.regions.append(memory(place, kind))
                 args.append(Kept(threads.regions[-1], 0, kind.shape, kind.dtype, argument=place))
             else:
@@ -88,7 +88,7 @@ class Signature:
         return [
             jax.ShapeDtypeStruct(() if kind.role == "uniform" else (THREADS,), kind.dtype)
             for kind in self.given
-            for _ in range(0 if kind.stays else kind.size)
+            for _ in range(0 if kind.in_memory else kind.size)
         ]
 
 
@@ -132,7 +132,7 @@ def called(
         return jnp.moveaxis(leaf, 0, -1) if kind.role == "rows" else leaf
 
     def result(array: Array, kind: Kind, like: Any) -> Array:
-        array = (array if kind.stays else jnp.moveaxis(array, -1, 0))[:worlds]
+        array = (array if kind.in_memory else jnp.moveaxis(array, -1, 0))[:worlds]
         return jax.random.wrap_key_data(array, impl=like.dtype._impl) if _is_key(like.dtype) else array
 
     arrays, kinds = call(known, [*map(passed, leaves, known.given)], worlds + missing)

@@ -56,9 +56,10 @@ class Kept:
     dtype: Any
     fixed: bool = False
     """True if it must not change, since another has the same memory."""
-    changes: list[int] = field(default_factory=lambda: [0])
-    """How often an entry of it has changed, in common with all that have the same memory, and what it was for this."""
-    change: int = 0
+    writes: list[int] = field(default_factory=lambda: [0])
+    """Counter of the writes to this memory, shared by all arrays that have it."""
+    seen: int = 0
+    """Its value when this array was made; `check` refuses an array that is older than the last write."""
     argument: int | None = None
     """Number of the argument that it is, which changes in its place."""
 
@@ -73,11 +74,11 @@ class Kept:
 
     def now(self) -> "Kept":
         """The array after all changes."""
-        return replace(self, change=self.changes[0])
+        return replace(self, seen=self.writes[0])
 
     def check(self) -> None:
         """Refuse what the array was before a change."""
-        if self.change != self.changes[0]:
+        if self.seen != self.writes[0]:
             raise NotImplementedError("threads know no array any more after an entry of it has changed")
 
 
@@ -260,7 +261,7 @@ class Threads:
         kept = array if isinstance(array, Kept) and not array.fixed else self._keep([self._loaded(array)])[0]
         kept.check()
         self._write(kept, entry, self._place(kept, index))
-        kept.changes[0] += 1
+        kept.writes[0] += 1
         return kept.now()
 
     def _with_sum(self, params: dict[str, Any], array: Held, index: np.ndarray, change: np.ndarray) -> Held:
@@ -272,7 +273,7 @@ class Threads:
         array.check()
         place = self._place(array, index)
         array.region.add(array.word, place, [*map(vector, self._elements(change.reshape(array.shape[1:])))])
-        array.changes[0] += 1
+        array.writes[0] += 1
         return array.now()
 
     def _is_view(self, eqn: Any, kept: Kept) -> bool:
@@ -601,7 +602,7 @@ def _looped(eqn: Any) -> ClosedJaxpr:
 
 
 def _looked_up_in_loop(eqn: Any, names: Collection[str]) -> set[int]:
-    """The same of a loop."""
+    """The places among a loop's arguments of such arrays, see `looked_up`."""
     first, params = eqn.params["cond_nconsts"], eqn.params
     last = first + params["body_nconsts"]
     inside = {
