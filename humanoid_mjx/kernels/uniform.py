@@ -24,7 +24,7 @@ def uniform_results(jaxpr: Any, given: Sequence[bool], of_one: bool = False) -> 
             found = uniform_carry(eqn, flags, of_one)
         elif name == "cond":
             each = (uniform_results(branch.jaxpr, flags[1:], of_one) for branch in params["branches"])
-            found = [all(same) for same in zip(*each, strict=True)]
+            found = [flags[0] and all(same) for same in zip(*each, strict=True)]
         else:
             of_all = name == "reduce_or" and not of_one
             found = [of_all or (name != "read_words" and all(flags))] * len(eqn.outvars)

@@ -454,10 +454,11 @@ def test_loops_of_a_world_go_by_its_own_numbers():
 
     def seen(row, count):
         def step(_, carry):
-            return carry[0] | (carry[1] > 1.0).any(), 0.5 * carry[1]
+            side = jax.lax.cond(carry[1][0] > 0.0, lambda: jnp.int32(1), lambda: jnp.int32(2))
+            return carry[0] | (carry[1] > 1.0).any(), 0.5 * carry[1], side
 
         nothing = jax.lax.scan(lambda x, _: (x, x), row, length=0)
-        return *jax.lax.fori_loop(0, count, step, (jnp.bool_(False), row)), *nothing
+        return *jax.lax.fori_loop(0, count, step, (jnp.bool_(False), row, jnp.int32(0))), *nothing
 
     assert "ends earlier in one world" in str(worlds.why_not(halved, (X[0],), (True,)))
     assert worlds.why_not(seen, (X[0], jnp.int32(2)), (True, False)) is None
