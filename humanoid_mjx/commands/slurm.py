@@ -101,7 +101,10 @@ def submit_sweep(
     """
     submitit, parameters = package("submitit", "slurm", "--slurm"), _parameters(given)
     Tracking(trackers, console.print)  # now rather than in the last job says what is missing
-    plan = make_plan(load(config, overrides))
+    loaded = load(config, overrides)
+    if loaded.then:
+        raise InputError(f"{config}: then: --slurm trains one part; train a config without it, and then start_from.")
+    plan = make_plan(loaded)
     place = Path(out or (latest_path if resume else fresh_path)(plan.config.name))
     folder = (RunFolder.resume if resume else RunFolder.create)(place, plan.resolved())
     try:

@@ -72,27 +72,29 @@ def run_sweep(
         from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
         from humanoid_mjx.runs.ranking import in_words, ranked, rungs_in_words
 
-        summary, quickest = run.summary, run.config.episodes is not None
-        learning, paths = draw_run(run, summary)
+        runs = [run, *filter(None, [run.later])]
+        drawn = [(each, each.summary, *draw_run(each, each.summary)) for each in runs]
         if trackers:
             from humanoid_mjx.evaluation.policy import find_policy, save_policy
 
-            tracking.files, policy = list(paths), run.path / "policy.npz"
+            tracking.files, policy = list(drawn[0][3]), run.path / "policy.npz"
             with suppress(InputError):  # there is none where all runs stopped at numbers that were not finite
                 save_policy(find_policy(run.path), policy)
                 tracking.files.append(policy)
-    axes, points = list(learning.axes), ranked(list(learning.axes), summary, quickest)
-    print_summary(axes, summary, points, learning.compared, read_provenance(run.path), quickest)
-    for words in filter(None, (rungs_in_words(summary), why_stopped(run.path, summary))):
-        console.print(words, soft_wrap=True)
-    for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
-        console.print(f"{path}", soft_wrap=True)
-    if words := in_words(axes, points, learning.compared):
-        console.print(words, soft_wrap=True)
+    for each, summary, learning, paths in drawn:
+        axes, quickest = list(learning.axes), each.config.episodes is not None
+        points = ranked(axes, summary, quickest)
+        print_summary(axes, summary, points, learning.compared, read_provenance(each.path), quickest)
+        for words in filter(None, (rungs_in_words(summary), why_stopped(each.path, summary))):
+            console.print(words, soft_wrap=True)
+        for path in (each.path / "results.parquet", each.path / "summary.parquet", *paths):
+            console.print(f"{path}", soft_wrap=True)
+        if words := in_words(axes, points, learning.compared):
+            console.print(words, soft_wrap=True)
     if growing:
         console.print(f"{growing.file}", soft_wrap=True)
     else:
-        console.print(f"next: humanoid-mjx report {shlex.quote(str(run.path))}", soft_wrap=True)
+        console.print(f"next: humanoid-mjx report {shlex.quote(str(runs[-1].path))}", soft_wrap=True)
     for line in tracking.lines:
         console.print(line, soft_wrap=True)
 

@@ -30,6 +30,10 @@ TOP_LEVEL = ("episodes", "total_steps", "record", "task")
 """Fields of a learner that a config sets at the top level."""
 
 
+CHANGES = ("task", "learner", "episodes", "total_steps", "record")
+"""Keys that `then` may hold."""
+
+
 class Config(pydantic.BaseModel):
     """A config: one training run or one sweep. `training.plan` expands it."""
 
@@ -52,6 +56,9 @@ class Config(pydantic.BaseModel):
     chunk: int | None = pydantic.Field(
         None, ge=1, le=10_000_000, description="runs that a worker of `--ray` or a job of `--slurm` gets at once"
     )
+    then: dict[str, Any] | None = pydantic.Field(
+        None, description="keys of task, learner and budget that change when all runs have trained, and train on"
+    )
     modules: str | None = pydantic.Field(
         None, description="folder of modules that import paths name, by default that of the config"
     )
@@ -67,6 +74,21 @@ class Config(pydantic.BaseModel):
     def budget(self) -> int | None:
         """Length of the training, in episodes or in control steps."""
         return self.episodes if self.episodes is not None else self.total_steps
+
+    @property
+    def alone(self) -> "Config":
+        """The config without `then`."""
+        return self.model_copy(update={"then": None})
+
+    def later(self, run: Path | str) -> "Config | None":
+        """Return the config of the training that goes on from this one's run folder in the world of `then`."""
+        if self.then is None:
+            return None
+        data = _changed(self.alone.model_dump(mode="json", exclude_none=True), self.then)
+        data["learner"]["start_from"] = str(run)
+        if isinstance(budget := data.get("episodes", data.get("total_steps")), int) and "record" not in self.then:
+            data["record"] = max(1, min(self.record, budget))
+        return parse(data, f"{self.source}: then")
 
     @property
     def physics(self) -> set[Any]:
@@ -91,7 +113,11 @@ class Config(pydantic.BaseModel):
         for key in TOP_LEVEL:
             if key in self.learner:
                 raise ValueError(f"learner.{key}: unknown key; {key} stands at the top level")
+        if self.then is not None and (odd := sorted(self.then.keys() - {*CHANGES})):
+            raise ValueError(f"then.{odd[0]}: unknown key; what may change is {', '.join(CHANGES)}")
         for axis in self.sweep.axes if self.sweep else ():
+            if self.then and _holds(self.then, axis.split(".")):
+                raise ValueError(f"then.{axis}: is an axis of the sweep; leave it out here or there")
             if not re.fullmatch(r"(task|learner)(\.\w+)+", axis) or re.fullmatch(r"\w+\.name", axis):
                 raise ValueError(
                     f"sweep.axes.{axis}: an axis is the dotted name of a value of task or learner, "
@@ -109,6 +135,19 @@ def _names(values: dict[str, Any], place: str) -> Iterator[tuple[str, Any]]:
             yield f"{place}.name", value
         elif isinstance(value, dict):
             yield from _names(value, f"{place}.{key}")
+
+
+def _changed(data: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """`data` with other values; mappings are changed key by key."""
+    for key, value in changes.items():
+        inside = data.get(key)
+        data = data | {key: _changed(inside, value) if isinstance(inside, dict) and isinstance(value, dict) else value}
+    return data
+
+
+def _holds(data: Any, keys: Sequence[str]) -> bool:
+    """Return whether nested mappings hold a dotted key, or a value in the place of one of its parents."""
+    return not keys or not isinstance(data, dict) or (keys[0] in data and _holds(data[keys[0]], keys[1:]))
 
 
 def load(config: str | Path, overrides: Sequence[str] = ()) -> Config:

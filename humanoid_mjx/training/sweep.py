@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from humanoid_mjx.config import Config, load, parse
@@ -22,6 +23,9 @@ from humanoid_mjx.training.progress import Reporter, reporting
 from humanoid_mjx.training.session import Session
 from humanoid_mjx.training.trackers import Tracker, Tracking
 
+THEN = "then"
+"""Folder in a run folder of the training that goes on from it."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -33,6 +37,11 @@ class Run:
     def config(self) -> Config:
         """The config that the run was made with, fully resolved."""
         return parse(read_config(self.path), str(self.path / "config.yaml"))
+
+    @property
+    def later(self) -> "Run | None":
+        """The run that went on from this one in the world of `then`."""
+        return Run(self.path / THEN) if (self.path / THEN).is_dir() else None
 
     @property
     def results(self) -> dict[str, np.ndarray]:
@@ -112,7 +121,8 @@ def sweep(
     watch: Sequence[Callable[[RunFolder, Plan], Curves]] = (),
     engine: EngineOf | None = None,
 ) -> Run:
-    """Train every point of a sweep with every seed.
+    """Train every point of a sweep with every seed. With `then` in the config, train on in the folder `then` of the
+    run folder.
 
     Args:
       config: a config, its plain values, a path, or the name of a shipped one.
@@ -139,7 +149,9 @@ def sweep(
         config = parse(dict(config))
     elif not isinstance(config, Config):
         raise InputError(f"sweep: config must be a config, its name or path, or a mapping of its keys, got {config!r}.")
-    plan = make_plan(config)
+    plan = make_plan(config.alone)
+    if later := config.later("the run folder"):
+        _check(plan, later)
     with (
         closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,
         nullcontext(reporter or Reporter()) if reporter or quiet else reporting() as speaker,
@@ -154,7 +166,28 @@ def sweep(
                 session.end()
             finally:
                 session.write_results()
+    if later := config.later(folder.path):
+        place = folder.path / THEN
+        sweep(
+            later,
+            place,
+            resume=resume and place.exists(),
+            pool_size=pool_size,
+            reporter=reporter,
+            quiet=quiet,
+            trackers=trackers,
+            watch=watch,
+            engine=engine,
+        )
     return Run(folder.path)
+
+
+def _check(plan: Plan, later: Config) -> None:
+    """Raise an InputError, before anything trains, if a later training cannot be or cannot go on from the plan's."""
+    after = make_plan(later)
+    shapes = [[jax.tree.map(lambda leaf: leaf.shape, group.policy) for group in each.groups] for each in (plan, after)]
+    if shapes[0] != shapes[1]:
+        raise InputError(f"{later.source}: what it learns has another size than before; leave sizes as they are.")
 
 
 def train_chunks(run: Path, numbers: Sequence[int]) -> None:
