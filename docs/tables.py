@@ -317,7 +317,8 @@ def public_robots() -> str:
         all_seeds = f"{rounded(100 * min(seeds), 0)} to {rounded(100 * max(seeds), 0)}"
         words = "`" + " ".join([row["config"], *(f"--set {each}" for each in row["set"][2:])]) + "`"
         seconds = rounded(row["command_s"], 0) if row["command_s"] else ""
-        own_card = row["machine"]["device"].split()[1] if "machine" in row else card.upper()
+        device = row["machine"]["device"] if "machine" in row else card
+        own_card = row.get("cores") or device.upper().removeprefix("NVIDIA ").split()[0]
         cells = own_card, seconds, all_seeds, going, rounded(turn), *worst, *own
         rows.append((", ".join([f"`{name}`", *filter(None, [row.get("gains")])]), words, *cells))
     moves, falls = "goes, m/s | turns, of 1 rad/s", "worst seed upright, %: standing | ahead | sudden turns"
