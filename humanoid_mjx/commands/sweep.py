@@ -72,7 +72,7 @@ def run_sweep(
         from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
         from humanoid_mjx.runs.ranking import in_words, ranked, rungs_in_words
 
-        runs = [run, *filter(None, [run.later])]
+        runs = [run, *filter(None, [loaded.then and run.later])]
         drawn = [(each, each.summary, *draw_run(each, each.summary)) for each in runs]
         if trackers:
             from humanoid_mjx.evaluation.policy import find_policy, save_policy
