@@ -116,6 +116,17 @@ def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatc
     first.close()
 
 
+def test_the_best_run_is_not_looked_for_among_those_that_are_left(tmp_path):
+    """A part of the checkpoint is lost, and the tables have its runs."""
+    path = sweep(CONFIG, tmp_path / "run", pool_size=3).path
+    first, *others = sorted(path.glob("checkpoint/part-*"))
+    first.unlink()
+    assert others
+    with pytest.raises(InputError, match=r"checkpoint: lacks \d of the runs of summary.parquet; --resume trains them"):
+        find_policy(path)
+    assert find_policy(sweep(CONFIG, path, resume=True).path).seed in range(4)
+
+
 PART = "checkpoint/part-00009.npz"
 
 
