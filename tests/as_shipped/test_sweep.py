@@ -13,6 +13,7 @@ from docs_reader import blocks
 from small_sweep import CONFIG, assert_same_tables, write_config
 
 from humanoid_mjx import InputError, compute, make_learner, make_task, sweep
+from humanoid_mjx.learners.base import ENVS
 from humanoid_mjx.runs.folder import RunFolder, read_arrays
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.plan import resolved
@@ -72,7 +73,7 @@ def test_tables_hold_a_row_for_every_point_seed_and_record_step(reference):
 
 def test_arrays_without_entries_are_made_on_each_device():
     """jaxlib 0.11.2 crashes when it compiles a `shard_map` that takes one."""
-    mesh = jax.sharding.Mesh(np.array(jax.devices()), (RUNS,))
+    mesh = jax.sharding.Mesh(np.array(jax.devices())[:, None], (RUNS, ENVS))
     runs, same = (jax.sharding.PartitionSpec(*names) for names in ([RUNS], []))
     program = jax.jit(_shared_out(lambda x, empty, n: (x + n, empty), mesh, (runs, runs, same)))
     args = np.ones((2 * mesh.size, 3)), np.ones((2 * mesh.size, 0)), 1
