@@ -24,7 +24,7 @@ from humanoid_mjx.robot import ROBOTS
 from humanoid_mjx.runs.archive import HEADER, check_finite, read_archive
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
-from humanoid_mjx.runs.tables import WHOLE, finished_runs, read_table, scores
+from humanoid_mjx.runs.tables import WHOLE, kept_runs, scores
 from humanoid_mjx.spec import InputError, check_folder, known, sentence, shown
 from humanoid_mjx.tasks import TASKS, name_of
 from humanoid_mjx.training.plan import MAX_RUNS, at_point, build, make_plan, points_of, resolved
@@ -175,11 +175,9 @@ def policies_of_best(
     data = _as_now(read_config(path), overrides)
     config = parse(data, str(path / "config.yaml"))
     points, quickest = points_of(config), config.episodes is not None
-    arrays = finished_runs(path, ("point", "seed", "policy", *(f"curve.{name}" for name in WHOLE), "final."))
+    arrays = kept_runs(path, ("point", "seed", "policy", *(f"curve.{name}" for name in WHOLE), "final."))
     if not arrays:
         raise InputError(f"{path}: holds no finished run; --resume it first.")
-    if (lost := _told(path) - len(arrays["point"])) > 0:
-        raise InputError(f"{path / 'checkpoint'}: lacks {lost:,} of the runs of summary.parquet; --resume trains them.")
     if point is not None and point not in arrays["point"]:
         raise InputError(f"--point {point}: {path} holds no finished run of it; it has {len(points)}, from 0 on.")
     try:
@@ -200,13 +198,6 @@ def policies_of_best(
         policy = _policy(like, learned, f"{path}: the run of point {point} with seed {place[1]}")
         found.append(StoredPolicy(group.learner(), policy, *place, path.resolve().name, alone, origin))
     return found
-
-
-def _told(path: Path) -> int:
-    """Return how many runs the summary of a run folder has; 0 where it cannot be read."""
-    with suppress(InputError):
-        return len(read_table(path / "summary.parquet", ["point"])["point"])
-    return 0
 
 
 def save_policy(trained: StoredPolicy, path: Path) -> None:

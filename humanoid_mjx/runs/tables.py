@@ -1,6 +1,7 @@
 """The tables of a run folder, derived from its finished blocks."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -90,6 +91,20 @@ def finished_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = No
     point, seed = arrays["point"][order], arrays["seed"][order]
     last = order[np.append((np.diff(point) != 0) | (np.diff(seed) != 0), True)]
     return {name: array[last] for name, array in arrays.items()}
+
+
+def kept_runs(path: Path, prefixes: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The arrays of `finished_runs`, of a run folder that is read and not trained.
+
+    Raises:
+      InputError: as of `all_runs`, or the checkpoint has lost runs that the summary has.
+    """
+    arrays, told = finished_runs(path, prefixes), 0
+    with suppress(InputError):  # of a summary that is missing or damaged
+        told = len(read_table(path / "summary.parquet", ["point"])["point"])
+    if arrays and (lost := told - len(arrays["point"])) > 0:
+        raise InputError(f"{path / 'checkpoint'}: lacks {lost:,} of the runs of summary.parquet; --resume trains them.")
+    return arrays
 
 
 def all_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None) -> dict[str, np.ndarray]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from humanoid_mjx.runs.archive import check_finite
 from humanoid_mjx.runs.folder import read_config
-from humanoid_mjx.runs.tables import finished_runs
+from humanoid_mjx.runs.tables import kept_runs
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
 from humanoid_mjx.training.state import from_arrays
@@ -31,7 +31,7 @@ def earlier_policies(group: Group) -> Any:
         read_config(path)
     except InputError as error:
         raise InputError(f"learner.start_from: {error}") from error
-    arrays = finished_runs(path, ("point", "seed", "policy"))
+    arrays = kept_runs(path, ("point", "seed", "policy"))
     if not arrays:
         raise InputError(f"{where}: holds no finished run.")
     points, seeds = np.divmod(np.tile(group.first_runs, group.rungs), group.seeds)

@@ -117,15 +117,22 @@ def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatc
     first.close()
 
 
-def test_the_best_run_is_not_looked_for_among_those_that_are_left(tmp_path):
-    """A part of the checkpoint is lost, and the tables have its runs."""
+def test_runs_that_are_lost_are_missed_by_all_that_look_for_one(tmp_path):
+    """A part of the checkpoint is gone, and the tables have its runs."""
     path = sweep(CONFIG, tmp_path / "run", pool_size=1).path
     first, *others = sorted(path.glob("checkpoint/part-*"))
+    best = find_policy(path)
     first.unlink()
     assert others
-    with pytest.raises(InputError, match=r"checkpoint: lacks \d of the runs of summary.parquet; --resume trains them"):
+    words = r"checkpoint: lacks \d of the runs of summary.parquet; --resume trains them"
+    with pytest.raises(InputError, match=words):
         find_policy(path)
-    assert find_policy(sweep(CONFIG, path, resume=True).path).seed in range(4)
+    further = CONFIG | {"learner": CONFIG["learner"] | {"start_from": str(path)}}
+    with pytest.raises(InputError, match=words):
+        sweep(further, tmp_path / "further")
+    again = find_policy(sweep(CONFIG, path, resume=True).path)
+    assert (again.point, again.seed) == (best.point, best.seed)
+    np.testing.assert_array_equal(again.policy, best.policy)
 
 
 PART = "checkpoint/part-00009.npz"
