@@ -15,7 +15,7 @@ from rich.table import Column, Table
 from humanoid_mjx import compute
 from humanoid_mjx.commands import console
 from humanoid_mjx.compute import kept
-from humanoid_mjx.config import load
+from humanoid_mjx.config import Config, load
 from humanoid_mjx.runs.folder import read_provenance
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.progress import Bar
@@ -32,7 +32,7 @@ DRAWING_S = 5.0
 
 
 def run_sweep(
-    config: str,
+    config: str | Config,
     out: Path | None,
     overrides: Sequence[str],
     resume: bool,
@@ -45,15 +45,17 @@ def run_sweep(
 
     `ray`: the address of a Ray cluster. `engine`: another way to train; by default this process does.
     """
-    loaded = load(config, overrides)
+    loaded = config if isinstance(config, Config) else load(config, overrides)
     if ray:
         jax.config.update("jax_platforms", "cpu")  # the GPUs are for the workers
         from humanoid_mjx.training.on_ray import OnRay
 
         engine = partial(OnRay, address=ray)
     compute.start(mjx="mjx-jax" in loaded.physics)
-    from humanoid_mjx.training.sweep import sweep
+    from humanoid_mjx.training.sweep import THEN, check_later, sweep
     from humanoid_mjx.training.trackers import Tracking
+
+    check_later(loaded)
 
     with (
         kept.keeping(),
@@ -63,7 +65,7 @@ def run_sweep(
     ):
         try:
             watch = [*tracking.watch, *([growing.watch] if growing else [])]
-            run = sweep(loaded, out, resume=resume, reporter=growing or bar, watch=watch, engine=engine)
+            run = sweep(loaded.alone, out, resume=resume, reporter=growing or bar, watch=watch, engine=engine)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None
@@ -72,31 +74,32 @@ def run_sweep(
         from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
         from humanoid_mjx.runs.ranking import in_words, ranked, rungs_in_words
 
-        runs = [run, *filter(None, [loaded.then and run.later])]
-        drawn = [(each, each.summary, *draw_run(each, each.summary)) for each in runs]
+        summary, quickest = run.summary, run.config.episodes is not None
+        learning, paths = draw_run(run, summary)
         if trackers:
             from humanoid_mjx.evaluation.policy import find_policy, save_policy
 
-            tracking.files, policy = list(drawn[0][3]), run.path / "policy.npz"
+            tracking.files, policy = list(paths), run.path / "policy.npz"
             with suppress(InputError):  # there is none where all runs stopped at numbers that were not finite
                 save_policy(find_policy(run.path), policy)
                 tracking.files.append(policy)
-    for each, summary, learning, paths in drawn:
-        axes, quickest = list(learning.axes), each.config.episodes is not None
-        points = ranked(axes, summary, quickest)
-        print_summary(axes, summary, points, learning.compared, read_provenance(each.path), quickest)
-        for words in filter(None, (rungs_in_words(summary), why_stopped(each.path, summary))):
-            console.print(words, soft_wrap=True)
-        for path in (each.path / "results.parquet", each.path / "summary.parquet", *paths):
-            console.print(f"{path}", soft_wrap=True)
-        if words := in_words(axes, points, learning.compared):
-            console.print(words, soft_wrap=True)
+    axes, points = list(learning.axes), ranked(list(learning.axes), summary, quickest)
+    print_summary(axes, summary, points, learning.compared, read_provenance(run.path), quickest)
+    for words in filter(None, (rungs_in_words(summary), why_stopped(run.path, summary))):
+        console.print(words, soft_wrap=True)
+    for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
+        console.print(f"{path}", soft_wrap=True)
+    if words := in_words(axes, points, learning.compared):
+        console.print(words, soft_wrap=True)
     if growing:
         console.print(f"{growing.file}", soft_wrap=True)
     else:
-        console.print(f"next: humanoid-mjx report {shlex.quote(str(runs[-1].path))}", soft_wrap=True)
+        console.print(f"next: humanoid-mjx report {shlex.quote(str(run.path))}", soft_wrap=True)
     for line in tracking.lines:
         console.print(line, soft_wrap=True)
+    if later := loaded.later(run.path):
+        place = run.path / THEN
+        run_sweep(later, place, (), resume and place.exists(), trackers, view, ray, engine)
 
 
 def _growing(bar: Bar) -> "Growing":

@@ -149,9 +149,8 @@ def sweep(
         config = parse(dict(config))
     elif not isinstance(config, Config):
         raise InputError(f"sweep: config must be a config, its name or path, or a mapping of its keys, got {config!r}.")
+    check_later(config)  # before anything trains
     plan = make_plan(config.alone)
-    if later := config.later("the run folder"):
-        _check(plan, later)
     with (
         closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,
         nullcontext(reporter or Reporter()) if reporter or quiet else reporting() as speaker,
@@ -182,12 +181,15 @@ def sweep(
     return Run(folder.path)
 
 
-def _check(plan: Plan, later: Config) -> None:
-    """Raise an InputError, before anything trains, if a later training cannot be or cannot go on from the plan's."""
-    after = make_plan(later)
-    shapes = [[jax.tree.map(lambda leaf: leaf.shape, group.policy) for group in each.groups] for each in (plan, after)]
-    if shapes[0] != shapes[1]:
-        raise InputError(f"{later.source}: what it learns has another size than before; leave sizes as they are.")
+def check_later(config: Config) -> None:
+    """Raise an InputError if the training of `then` cannot be, or cannot go on from the first."""
+    if later := config.later("the run folder"):
+        first, second = (
+            [jax.tree.map(lambda leaf: leaf.shape, group.policy) for group in make_plan(each).groups]
+            for each in (config.alone, later)
+        )
+        if first != second:
+            raise InputError(f"{later.source}: what it learns has another size than before; leave sizes as they are.")
 
 
 def train_chunks(run: Path, numbers: Sequence[int]) -> None:

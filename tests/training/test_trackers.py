@@ -67,6 +67,14 @@ def agree(run, measures):
 MEASURES = ("return", "steps", "success", "greedy_return", "greedy_steps", "greedy_success")
 
 
+def test_both_parts_of_a_training_are_tracked_once(tmp_path):
+    config = small_sweep.write_config(tmp_path, sweep={"axes": AXES}, episodes=40, record=8, then={"episodes": 30})
+    told("sweep", config, "--out", tmp_path / "run", "--tracker", "tensorboard")
+    run = Run(tmp_path / "run")
+    for part in run, run.later:
+        agree(part, MEASURES)
+
+
 @pytest.mark.parametrize("size", [4, 64])
 def test_events_are_the_means_of_the_table(tmp_path, monkeypatch, size):
     monkeypatch.setattr(chunks, "CURVES_EVERY_S", 0.0)
