@@ -70,10 +70,12 @@ def _normal(spread: tuple[FloatScalar, ...], like: Readings, key: Key[Array, ""]
 
 def _drawn(lengths: tuple[int, ...], keys: Key[Array, " worlds"]) -> Float[Array, "numbers worlds"]:
     """Normal numbers, side by side, so that their long arithmetic is compiled once. LLVM vectorises it over worlds in
-    the last axis, and not over a short one."""
+    the last axis, and not over a short one. The barrier keeps XLA from computing them again in each fused reader: on
+    two GPUs that made a kernel that spilled registers."""
 
     def draw(key: Key[Array, ""]) -> Float[Array, " numbers"]:
         parts = zip(jax.random.split(key, len(lengths)), lengths, strict=True)
         return jnp.concatenate([jax.random.uniform(part, (length,), minval=ABOVE_MINUS_1) for part, length in parts])
 
-    return np.sqrt(2.0, dtype=np.float32) * jax.lax.erf_inv(jax.vmap(draw, out_axes=-1)(keys))
+    normal = np.sqrt(2.0, dtype=np.float32) * jax.lax.erf_inv(jax.vmap(draw, out_axes=-1)(keys))
+    return jax.lax.optimization_barrier(normal)
