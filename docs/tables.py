@@ -328,26 +328,24 @@ def public_robots() -> str:
 
 def _on_cards(config: str, cards: int) -> str:
     """Return how many times as fast as on one card a sweep trains on several."""
-    found = {row["cards"]: row["first"] for row in record("h100_scaling")["rows"] if row["config"] == config}
+    found = {row["cards"]: row["first"] for row in record("h200_scaling")["rows"] if row["config"] == config}
     return rounded(found[cards]["steps_per_s"] / found[1]["steps_per_s"])
 
 
 def scaling() -> str:
     """Return how much faster sweeps train on several cards of one host, and how long the commands take."""
-    rows = []
-    for card in ("h200", "h100"):
-        found = record(f"{card}_scaling")["rows"]
-        for config in dict.fromkeys(row["config"] for row in found):
-            made = {row["cards"]: row["first"] for row in found if row["config"] == config}
-            sets = next(row["set"] for row in found if row["config"] == config)
-            times = [rounded(made[cards]["steps_per_s"] / made[1]["steps_per_s"]) if cards in made else ""
-                     for cards in (2, 4)]  # fmt: skip
-            seconds = ", ".join(rounded(one["command_s"], 0) for one in made.values())
-            same = "yes" if len({one["tables"] for one in made.values()}) == 1 else "no"
-            words = " ".join([config, *(f"--set {each}" for each in sets)])
-            rows.append((f"`{words}`", card.upper(), rounded(made[1]["steps_per_s"]), *times, seconds, same))
+    found, rows = record("h200_scaling")["rows"], []
+    for config in dict.fromkeys(row["config"] for row in found):
+        made = {row["cards"]: row["first"] for row in found if row["config"] == config}
+        sets = next(row["set"] for row in found if row["config"] == config)
+        times = [rounded(made[cards]["steps_per_s"] / made[1]["steps_per_s"]) if cards in made else ""
+                 for cards in (2, 4)]  # fmt: skip
+        seconds = ", ".join(rounded(one["command_s"], 0) for one in made.values())
+        same = "yes" if len({one["tables"] for one in made.values()}) == 1 else "no"
+        words = " ".join([config, *(f"--set {each}" for each in sets)])
+        rows.append((f"`{words}`", rounded(made[1]["steps_per_s"]), *times, seconds, same))
     columns = "steps/s on one | times as fast on two | on four | command on 1, 2, 4, s | same tables"
-    return table(f"`sweep` | card | {columns}", rows)
+    return table(f"`sweep` | {columns}", rows)
 
 
 def ranges() -> str:
@@ -466,13 +464,6 @@ def _range(ordered: Sequence[object]) -> str:
     return f"{ordered[0]} to {ordered[-1]}" if ordered[0] != ordered[-1] else str(ordered[0])
 
 
-def _halving_minutes(eta: int, rungs: int) -> str:
-    """Return the minutes of training of 1,000 settings of `walk`, a seed each, at the recorded rate of ten runs."""
-    steps, rate = 60e6, record("h100_walk")["training"]["again"]["steps_per_s"]
-    points = sum(1000 // eta**rung * eta ** (rung + 1 - rungs) for rung in range(rungs))
-    return rounded(points * steps / rate / 60)
-
-
 def methods_proof() -> str:
     """Return how the methods of tables agree with an independent implementation."""
     rows = []
@@ -521,17 +512,17 @@ def faster_than_mjx() -> str:
 
 SWEEPS = (
     "cpu_2_cores_leg_reach_sweep",
-    "h100_leg_reach_deep_sweep",
-    "h100_stand_linear_sweep",
-    "h100_stand_sweep",
+    "h200_leg_reach_deep_sweep",
+    "h200_stand_linear_sweep",
+    "h200_stand_sweep",
     "h100_walk_linear_sweep",
-    "h100_walk_sweep",
+    "h200_walk_sweep",
 )
 ONE_TASK = tuple(f"cpu_2_cores_posture_switch_{kind}" for kind in ("table", "linear", "deep"))
 """Records of sweeps over epsilon, its decay and the learning rate: of function approximation, of three learners."""
-RATES = "cpu_2_cores_leg_reach_ppo", "h100_stand_ppo", "h100_walk_ppo"
+RATES = "cpu_2_cores_leg_reach_ppo", "h200_stand_ppo", "h200_walk_ppo_rates"
 """Records of sweeps over the learning rate."""
-SQUATS = "cpu_2_cores_squat", "cpu_2_cores_squat_deep", "h100_squat_mjx", "h100_squat_deep_mjx"
+SQUATS = "cpu_2_cores_squat", "cpu_2_cores_squat_deep", "h100_squat_mjx", "h200_squat_deep_mjx"
 """Records of trainings of `squat`."""
 MUTANTS = ("learners", "control", "tasks", "physics", "runs")
 """Folders into which `benchmarks/mutants.py` puts faults."""
@@ -644,8 +635,6 @@ TABLES = {
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
     "c_decision": lambda: rounded(1e6 * record("c_policy")["rows"][0]["seconds"]),
     "parity_cliff": lambda: rounded(record("parity")["expected while learning on the cliff"], 1),
-    "halving_walk": lambda: _halving_minutes(3, 4),
-    "halving_walk_whole": lambda: _halving_minutes(1, 1),
     "methods_optimal": lambda: _exact("Q-learning's policy"),
     "methods_soft": lambda: _exact("the best policy"),
     "stand_seconds": lambda: rounded(record("h100_stand_8_seeds")["records"][0]["command_s"]),

@@ -129,7 +129,7 @@ def resumed(config: str, settings: list[str], cards: tuple[int, int], after: flo
 
 def draw(record: dict[str, Any], target: Path) -> None:
     """Draw how many times as fast as on one card sweeps train, and how long the commands take."""
-    with figure(target, 1, 2) as (_, panels):
+    with figure(target, 1, 2) as (whole, panels):
         speed, command_s = panels.flat
         for config, color in zip({row["config"]: None for row in record["rows"]}, COLORS, strict=False):
             rows = [row for row in record["rows"] if row["config"] == config and "error" not in row]
@@ -143,7 +143,7 @@ def draw(record: dict[str, Any], target: Path) -> None:
             panel.set_xlabel(f"cards of one host, {record['machine']['device']}")
             panel.set_xticks(record["cards"])
             panel.set_ylim(bottom=0)
-        speed.legend()
+        whole.legend(*speed.get_legend_handles_labels(), loc="outside lower center", ncols=4)
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Draw the learning curves of several sweeps over the same axes, a row for each record.
 
-python experiments/sweep_curves.py docs/sweep_curves.png cpu_2_cores_leg_reach_sweep h100_leg_reach_deep_sweep ...
+python experiments/sweep_curves.py docs/sweep_curves.png cpu_2_cores_leg_reach_sweep h200_leg_reach_deep_sweep ...
 python experiments/sweep_curves.py --one-task docs/learner_curves.png cpu_2_cores_posture_switch_{table,linear,deep}
 """
 
