@@ -174,6 +174,9 @@ class Window:
             elif name == "paused":
                 (live.going.clear if value else live.going.set)()
                 self._show(self.frame)  # a robot that waits shows no other
+            elif name == "once":
+                live.once = value
+                live.going.set()
             elif name == "episode":
                 first = np.arange(len(live.episodes))
                 live.episodes = np.clip(live.episodes + value, first, first + LAST_EPISODE)
@@ -187,7 +190,7 @@ class Window:
             return {part: _within(number, *self.live.ranges[part]) for part, number in value.items()}
         if name == "grab" and self.live.touchable:
             return self._grabs(value)
-        if name == "paused" and type(value) is bool:
+        if name in ("paused", "once") and type(value) is bool:
             return value
         if name == "episode" and type(value) is int and abs(value) <= LAST_EPISODE:
             return value
@@ -225,7 +228,8 @@ class Window:
 
     def _frame(self) -> dict[str, Any]:
         live, bodies, views = self.live, self.live.stage.bodies, self.views()
-        frame: dict[str, Any] = {"shapes": [], "torsos": [], "forces": [], "pushes": [], "ahead": [], "centres": []}
+        names = "shapes", "torsos", "forces", "pushes", "ahead", "centres", "axes"
+        frame: dict[str, Any] = {name: [] for name in names}
         pressing = [body.pressing() if live.touchable else {} for body in bodies]
         for body, view, pressed in zip(bodies, views, pressing, strict=True):
             places, turns = posed(body.model, body.data, self.geoms)
@@ -239,6 +243,9 @@ class Window:
                 frame[name].append(None if values is None else rounded(values))
             frame["shapes"] += poses(view.at(places), view.turn @ turns)
             frame["forces"] += [rounded([*view.at(at), *view.turn @ force]) for at, force in pressed.values()]
+            joints = body.model.actuator_trnid[:, 0]
+            axes = zip(body.data.xanchor[joints], body.data.xaxis[joints], strict=True)
+            frame["axes"] += [rounded([*view.at(at), *view.turn @ axis]) for at, axis in axes]
         return frame | {
             "time": round(live.stage.time, 3),
             "ground": rounded(views[0].ground(bodies[0].ground)),

@@ -6,11 +6,14 @@
 (() => {
   const AROUND = 24, FINE = 1.2e6, NEAR = 0.02, TURN = 0.12;
 
-  const INK = "#1c2126", ALARM = "#c1121f", LOAD = "#009E73", TOUCH = [1, 0.55, 0.05];
+  const INK = "#1c2126", ALARM = "#c1121f", LOAD = "#009E73", AXIS = "#0072B2", TOUCH = [1, 0.55, 0.05];
   const DARK = matchMedia("(prefers-color-scheme: dark)");
   const LINES = { false: ["#0072B2", "#C04F00", "#007A59", "#A8447E"], true: ["#56B4E9", "#F2994A", "#2CC295", "#E29BC4"] };
   const line = (i, count) => (count > 4 ? `hsl(${(360 * i) / count} 70% ${DARK.matches ? 65 : 38}%)` : LINES[DARK.matches][i]);
   const SHOWN_S = 8;
+  // Views of a robot that looks along x: the directions of the camera, rad.
+  const SIDES = { "a corner": {}, "the front": { yaw: Math.PI, pitch: -0.1 }, "the right": { yaw: Math.PI / 2, pitch: -0.1 },
+    above: { yaw: 0, pitch: -1.5 } };
 
   const clamp = (x, low, high) => Math.max(low, Math.min(high, x));
   const make = (tag, properties = {}, ...children) => {
@@ -148,7 +151,10 @@
         make("option", { value, selected: value === 1 }, (value < 1 ? `1/${1 / value}` : value) + " ×"))), "Speed");
       this.followed = button("Camera: follows", () => this.follow());
       this.words = make("p", { className: "told" });
-      const bar = make("div", { className: "controls" }, ...buttons, speed, this.followed, button("Reset view", () => this.home()));
+      const choose = () => { this.home(from.value); from.selectedIndex = 0; };
+      const from = named(make("select", { onchange: choose }, make("option", { hidden: true }, "View from"),
+        ...Object.keys(SIDES).map((value, i) => make("option", { value }, `${value} (${i + 1})`))), "View from");
+      const bar = make("div", { className: "controls" }, ...buttons, speed, from, this.followed, button("Reset view", () => this.home()));
       const parts = [this.canvas, bar, this.words, make("p", { className: "hint" }, hint)];
       this.figure.querySelector(".stage").replaceChildren(...(more.length ? [make("div", { className: "scene" }, ...parts)] : parts), ...more);
       new ResizeObserver(() => this.draw()).observe(this.canvas);
@@ -158,7 +164,11 @@
     let() {}
     scrolls() { return document.activeElement === this.canvas; }
     start() { return { yaw: this.data.yaw, pitch: this.data.pitch, zoom: 1, pan: [0, 0, 0], place: null }; }
-    home() { this.view = this.start(); this.draw(); }
+    // The view as at first, or from a side of the robot as it stood then.
+    home(side) {
+      this.view = { ...this.start(), ...SIDES[side] };
+      this.draw();
+    }
 
     // The camera follows the robot, or stays where it is.
     follow() {
@@ -194,8 +204,11 @@
         ArrowUp: () => this.turn(0, -TURN), ArrowDown: () => this.turn(0, TURN),
         "+": () => this.zoom(0.87), "=": () => this.zoom(0.87), "-": () => this.zoom(1.15),
         Home: () => this.home(), f: () => this.follow(),
+        ...this.sideKeys(),
       };
     }
+
+    sideKeys() { return Object.fromEntries(Object.keys(SIDES).map((side, i) => [i + 1, () => this.home(side)])); }
 
     turn(yaw, pitch) {
       this.view.yaw += yaw;
@@ -513,12 +526,14 @@
         this.drives && "Shift: faster. Space: stand.", poses && "Space: home posture.",
         touch && "Drag the robot: pull it.", data.live.scales.push && "X: push.",
         "Drag beside it: look around. Right button: move. Wheel: zoom. P: pause. R: restart, all as at first. N: next episode.",
-        "M: centre of mass. C: collision shapes."];
+        "Full stop: a decision alone. 1 to 4: from a corner, front, side, top.",
+        "M: centre of mass. C: collision shapes. J: axes of the joints."];
       this.panel = make("div", { className: "panel" });
       this.sliders = {};
       this.joints = make("details", { className: "joints", open: true }, make("summary", {}, "set-points, degrees"));
       for (const [name, [low, high]] of Object.entries(data.live.ranges))
         this.slider(name, low, high, this.told[name], (value) => this.tell({ [name]: value }));
+      if (this.drives) this.panel.append(this.thumb());
       const acts = [(this.drives || poses) && button(poses ? "Home posture" : "Stand", () => this.stand()),
         data.live.scales.push && button("Push", () => this.push())];
       this.panel.append(make("p", { className: "controls" }, ...acts.filter(Boolean)));
@@ -526,8 +541,9 @@
         this.slider(words, low, high, name in world ? world[name] : now, (value) => { if (name !== "push") this.send({ [name]: value }); }, name);
       if (poses) this.panel.append(this.joints);
       this.switches = { m: this.toggle("Centre of mass", "weighed"),
-        c: this.toggle("Collision shapes", "touching", "Only the orange shapes can touch.") };
-      const buttons = [this.paused, button("Restart", () => this.restart()),
+        c: this.toggle("Collision shapes", "touching", "Only the orange shapes can touch."),
+        j: this.toggle("Axes", "turning", "Joints with a motor turn about the arrows, or slide along them.") };
+      const buttons = [this.paused, button("Step", () => this.once()), button("Restart", () => this.restart()),
         button("Next episode", () => this.send({ episode: 1 })), ...Object.values(this.switches), this.recorded];
       this.build(buttons, [0.1, 0.25, 0.5, 1], (pace) => this.send({ pace }), hints.filter(Boolean).join(" "), this.panel);
       const told = this.words;
@@ -653,7 +669,8 @@
         this.steer();
       } else if (down && !event.repeat)
         this.key(event, { " ": () => this.stand(), p: () => this.pause(), r: () => this.restart(),
-          n: () => this.send({ episode: 1 }), m: () => this.switches.m.click(), c: () => this.switches.c.click(), x: () => this.push() });
+          n: () => this.send({ episode: 1 }), x: () => this.push(), ".": () => this.once(), ...this.sideKeys(),
+          ...Object.fromEntries(Object.entries(this.switches).map(([name, made]) => [name, () => made.click()])) });
     }
     steer() {
       const shares = {}, size = this.fast ? 1 : 0.6;
@@ -663,6 +680,24 @@
       }
       this.pressed = shares;
       this.share(shares);
+    }
+    // A stick for a thumb, on screens that are touched: up is forward, aside turns, or goes aside if it cannot turn.
+    thumb() {
+      const knob = make("span"), pad = make("div", { className: "stick" }, knob), aside = this.range("turn")[2] ? "turn" : "left";
+      pad.setAttribute("aria-hidden", true); // the sliders say as much
+      const put = (x, y) => {
+        knob.style.transform = `translate(${2.2 * x}rem, ${2.2 * y}rem)`;
+        this.share({ forward: -y, [aside]: -x });
+      };
+      pad.onpointermove = pad.onpointerdown = (event) => {
+        if (event.type === "pointerdown") pad.setPointerCapture(event.pointerId);
+        if (!pad.hasPointerCapture(event.pointerId)) return;
+        const box = pad.getBoundingClientRect(), at = (x, start, size) => (2 * (x - start)) / size - 1;
+        const [x, y] = [at(event.clientX, box.left, box.width), at(event.clientY, box.top, box.height)], far = Math.max(1, Math.hypot(x, y));
+        put(x / far, y / far);
+      };
+      pad.onpointerup = pad.onpointercancel = () => put(0, 0);
+      return pad;
     }
     gamepad() {
       const pad = [...(navigator.getGamepads ? navigator.getGamepads() : [])].find(Boolean);
@@ -690,6 +725,8 @@
     }
     scrolls() { return true; }
     push() { if (this.sliders.push) this.send({ push: Number(this.sliders.push.input.value) }); }
+    // One decision; the robot waits before and after it.
+    once() { this.send({ once: true }); this.latest.paused = true; }
     pause() { this.send({ paused: !this.latest.paused }); this.latest.paused = !this.latest.paused; this.draw(); }
 
     hold(event) {
@@ -725,11 +762,12 @@
     }
 
     pose() {
-      const { shapes, torsos, ground, forces, pushes, ahead, centres } = this.latest;
+      const { shapes, torsos, ground, forces, pushes, ahead, centres, axes } = this.latest;
       const most = Math.max(...forces.map((f) => Math.hypot(f[3], f[4], f[5])), this.most || 1);
       this.most = most;
-      const arrows = forces.map((f) => ({ from: f.slice(0, 3), color: LOAD,
-        to: [0, 1, 2].map((i) => f[i] + (this.data.arrow / most) * f[i + 3]) }));
+      const arrow = (color, size) => (f) => ({ from: f.slice(0, 3), color, to: [0, 1, 2].map((i) => f[i] + size * f[i + 3]) });
+      const arrows = forces.map(arrow(LOAD, this.data.arrow / most));
+      if (this.turning) arrows.push(...axes.map(arrow(AXIS, this.data.arrow / 3)));
       if (this.pulled && this.held_at) {
         arrows.push({ from: shapes[this.held_at.shape].slice(0, 3), to: this.pulled, color: ALARM });
       }

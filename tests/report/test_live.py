@@ -389,6 +389,36 @@ def test_frames_say_what_there_is_to_see(walking):
     assert set(frame["charts"]["forward, m/s"]) == {"commanded", "measured"}
     assert len(frame["charts"]["reward of a decision"]) > 1 and "reward" in frame["charts"]["reward of a decision"]
     np.testing.assert_allclose([np.linalg.norm(pose[3:]) for pose in frame["shapes"]], 1.0, atol=1e-3)
+    assert len(frame["axes"]) == walking.live.model.nu
+    np.testing.assert_allclose([np.linalg.norm(axis[3:]) for axis in frame["axes"]], 1.0, atol=2e-3)
+
+
+class Gate(threading.Event):
+    """An event that says whether a thread waits for it."""
+
+    waits = False
+
+    def wait(self, timeout=None):
+        self.waits = not self.is_set()
+        super().wait(timeout)
+        self.waits = False
+
+
+def test_a_step_is_one_decision(walking, monkeypatch):
+    """A robot that waits moves on by one decision and waits again, and the page shows where it is then."""
+    live, gate = walking.live, Gate()
+    gate.set()
+    monkeypatch.setattr(live, "going", gate)
+    walking.tell({"paused": True})
+    walking.until(lambda: gate.waits)
+    for _ in range(3):
+        before = live.stage.time
+        walking.tell({"once": True})
+        walking.until(lambda before=before: live.stage.time > before and gate.waits)
+        assert live.stage.time == pytest.approx(before + live.task.period)
+        assert walking.server.shown.now()["time"] == pytest.approx(live.stage.time, abs=1e-3)
+    walking.tell({"paused": False})
+    walking.until(lambda: live.stage.time > before + 5 * live.task.period)
 
 
 def test_only_pages_of_its_own_reach_the_server(walking):
@@ -413,7 +443,12 @@ def test_only_pages_of_its_own_reach_the_server(walking):
         *(1, [], {"told": {"up, m/s": 1.0}}, {"told": 3}, {"slope": "steep"}, {"payload": float("nan")}, {"grab": {}}),
         *({"grab": {"shape": 999, "point": [0, 0, 0], "to": [0, 0, 0]}}, {"push": None}, {"episode": []}),
         *({"grab": {"shape": -1, "point": [0, 0, 0], "to": [0, 0, 0]}}, {"up": 1.0}, {"episode": 1.5}),
-        *({"told": {"forward, m/s": 0.5}, "slope": 3.0, "push": None}, {"grab": {"to": [0, 0]}}, {"paused": 1}),
+        *(
+            {"told": {"forward, m/s": 0.5}, "slope": 3.0, "push": None},
+            {"grab": {"to": [0, 0]}},
+            {"paused": 1},
+            {"once": 1},
+        ),
     ],
 )
 def test_messages_that_mean_nothing_change_nothing(walking, message):
@@ -558,6 +593,23 @@ def test_keys_and_mouse_drive_it(walking):
         key(opened, "keyDown", "p")  # so that nothing moves below the mouse
         walking.until(lambda: not live.going.is_set())
         walking.until(lambda: rests(lambda: opened.value("document.querySelector('figure').player.latest.shapes")))
+        player, before = "document.querySelector('figure').player", live.stage.time
+        opened.press(".")
+        walking.until(lambda: rests(lambda: live.stage.time) and live.stage.time > before)
+        walking.until(lambda: float(opened.value("document.querySelector('canvas').dataset.time")) > before)
+        opened.press("j")
+        assert opened.value(f"{player}.turning && {player}.pose().arrows.length") >= live.model.nu
+        opened.press("2")
+        assert opened.value(f"{player}.view.yaw") == pytest.approx(np.pi)
+        opened.press("1")
+        opened.value(
+            "(() => { const stick = document.querySelector('.stick'); stick.style.display = 'grid';"
+            "stick.hasPointerCapture = () => true; const { left, top, width } = stick.getBoundingClientRect();"
+            "stick.onpointermove({ type: 'pointermove', clientX: left, clientY: top + width / 2 }); })()"
+        )
+        walking.until(lambda: [live.told[name] for name in SPEEDS] == pytest.approx([0.0, 0.0, 1.0]))
+        opened.value("document.querySelector('.stick').onpointerup()")
+        walking.until(lambda: not any(live.told.values()))
         left, top = opened.value(
             "(() => { const b = document.querySelector('canvas').getBoundingClientRect(); return [b.left, b.top]; })()"
         )

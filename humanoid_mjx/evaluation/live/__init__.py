@@ -65,6 +65,8 @@ class Live:
         """Set: begin `episodes` anew."""
         self.going = threading.Event()
         """Cleared: wait."""
+        self.once = False
+        """Whether to wait after the next decision."""
         self.over = False
         self.going.set()
 
@@ -103,7 +105,12 @@ class Live:
                 for body in np.array(bodies)[anew]:
                     body.forget()
             self.going.wait()
+            if self.once:
+                self.once = False
+                self.going.clear()
             state, steps = self._decide(state, steps), steps + 1
+            if not self.going.is_set():
+                self.stage.shown()
 
     def _begun(self) -> State:
         """The first states of the episodes, which nobody sees."""
