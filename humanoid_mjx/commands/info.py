@@ -25,12 +25,12 @@ from humanoid_mjx.robot.holding import in_words
 from humanoid_mjx.spec import InputError, Spec, find, known, modules_in
 from humanoid_mjx.tasks import TASKS
 from humanoid_mjx.tasks.base import Task
-from humanoid_mjx.training.cost import disk_bytes, runs_at_once, slots, training_bytes
+from humanoid_mjx.training.chunks import Here
+from humanoid_mjx.training.cost import disk_bytes, training_bytes
 from humanoid_mjx.training.pace import MEASURED_S, estimate, time_in_words
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.programs import why_no_kernel
 from humanoid_mjx.training.progress import Bar, counted
-from humanoid_mjx.training.warm_start import earlier_policies
 
 
 def show_keys(name: str | None) -> None:
@@ -153,9 +153,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     most = max(training_bytes(group) for group in plan.groups)
     together, refusal = [1] * len(plan.groups), None
     try:
-        for group in plan.groups:
-            earlier_policies(group)
-        together = [slots(group, runs_at_once(group, width=plan.width(group))) for group in plan.groups]
+        together = Here(plan).at_once
     except InputError as error:
         refusal = error
     if len(plan.rungs) > 1:
@@ -189,7 +187,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
 def _show_time(plan: Plan) -> None:
     with Bar(console) as bar:
         bar.phase("compiling and training a piece of it")
-        found = estimate(plan, [runs_at_once(group, width=plan.width(group)) for group in plan.groups])
+        found = estimate(plan, Here(plan).rooms)
     parts = {"compiling (less once it is cached)": found.compile_s, "training": found.train_s}
     parts |= {"evaluating": found.evaluate_s} if found.evaluate_s > 0 else {}
     words = ", ".join(f"{time_in_words(seconds)} of {part}" for part, seconds in parts.items())

@@ -4,7 +4,7 @@ chunks of runs, for each rung of a sweep in mode halving, and a job that writes 
 import os
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from humanoid_mjx.config import load, parse_yaml
 from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.runs.tables import all_runs, run_numbers
 from humanoid_mjx.spec import InputError, package
-from humanoid_mjx.training.chunks import Chunk, Desk, chunks
+from humanoid_mjx.training.chunks import Chunk, Desk, Engine, chunks
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import counted
 from humanoid_mjx.training.sweep import train_chunks
@@ -40,16 +40,23 @@ LOGS = "slurm"
 
 @dataclass(frozen=True)
 class Job:
-    """A job of an array: it trains some chunks of a run folder, once the rung before is finished."""
+    """A job: it trains some chunks of a run folder, once the rung before is finished; the last one has none, and writes
+    the tables of what the others have trained."""
 
     run: Path
     numbers: tuple[int, ...]
     after: tuple[int, ...] = ()
     """Processes to wait for, where no Slurm does."""
+    trackers: tuple[str, ...] = ()
 
     def __call__(self) -> None:
-        _wait(self.after)
-        compute.start(mjx="mjx-jax" in load(self.run / "config.yaml").physics)
+        while any(map(_runs, self.after)):
+            time.sleep(0.1)
+        config = self.run / "config.yaml"
+        if not self.numbers:
+            run_sweep(str(config), self.run, [], True, self.trackers, engine=Others)
+            return
+        compute.start(mjx="mjx-jax" in load(config).physics)
         with kept.keeping():
             train_chunks(self.run, self.numbers)
 
@@ -58,23 +65,7 @@ class Job:
         return package("submitit", "slurm", "--slurm").helpers.DelayedSubmission(self)
 
 
-@dataclass(frozen=True)
-class Tables:
-    """The last job: it writes the tables of what the array has trained."""
-
-    run: Path
-    trackers: tuple[str, ...]
-    after: tuple[int, ...]
-    """As for `Job`."""
-
-    def __call__(self) -> None:
-        _wait(self.after)
-        run_sweep(str(self.run / "config.yaml"), self.run, [], True, self.trackers, engine=Others)
-
-    checkpoint = Job.checkpoint
-
-
-class Others:
+class Others(Engine):
     """The engine of a sweep whose runs others have trained."""
 
     def __init__(self, plan: Plan):
@@ -83,9 +74,6 @@ class Others:
 
     def train(self, chosen: Sequence[Chunk], desk: Desk) -> None:
         """All that could be trained is."""
-
-    def close(self) -> None:
-        """Nothing is held."""
 
 
 def submit_sweep(
@@ -145,7 +133,7 @@ def _submit(
         else:
             dependency = {"dependency": f"afterany:{array[0].job_id.partition('_')[0]}"}
             executor.update_parameters(slurm_additional_parameters=more | dependency)
-    return jobs, executor.submit(Tables(run, tuple(trackers), after))
+    return jobs, executor.submit(Job(run, (), after, tuple(trackers)))
 
 
 def _numbers(plan: Plan, place: Path) -> Iterator[list[int]]:
@@ -161,11 +149,6 @@ def _numbers(plan: Plan, place: Path) -> Iterator[list[int]]:
         if stored < runs:
             first, most = index * plan.num_runs, -(-runs // plan.chunk) + len(plan.groups) - 1
             yield list(range(first, first + most))
-
-
-def _wait(processes: Iterable[int]) -> None:
-    while any(map(_runs, processes)):
-        time.sleep(0.1)
 
 
 def _runs(process: int) -> bool:

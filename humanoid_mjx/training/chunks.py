@@ -13,18 +13,18 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.runs.folder import damaged
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.cost import runs_at_once, slots, training_bytes
+from humanoid_mjx.training.cost import runs_at_once, training_bytes
 from humanoid_mjx.training.pace import COMPILING
 from humanoid_mjx.training.plan import Plan
 from humanoid_mjx.training.pool import IDLE, Pool
-from humanoid_mjx.training.programs import Devices, in_turn, placement
+from humanoid_mjx.training.programs import in_turn, placement
 from humanoid_mjx.training.warm_start import earlier_policies
 
 CHECKPOINT_EVERY_S = 30.0
@@ -121,34 +121,34 @@ class Ended(NamedTuple):
 Event: TypeAlias = UnderWay | Growth | State | Finished | Note | Ended
 
 
-@runtime_checkable
-class Stored(Protocol):
-    """What a training asks of the driver."""
+class Given(NamedTuple):
+    """What the driver gives a training of some chunks."""
 
     finished: set[int]
-    """The runs that are stored."""
+    """Their runs that are stored."""
     watched: np.ndarray | None
     """The points whose curves are followed while they grow."""
-
-    def states(self, key: str) -> list[tuple[str, Arrays]]:
-        """Return stored states of runs under way, each with its file, the newest first."""
-        ...
+    states: list[tuple[str, Arrays]]
+    """Stored states of their runs under way, each with its file, the newest first."""
 
 
 @runtime_checkable
-class Desk(Stored, Protocol):
+class Desk(Protocol):
     """What an engine asks of the driver, and gives it."""
 
     machines: set[str]
     """The machines that train, where others than this one do."""
+
+    def given(self, chosen: Sequence[Chunk]) -> Given:
+        """Return what the training of some chunks needs."""
+        ...
 
     def take(self, event: Event) -> None:
         """Store or show an event."""
         ...
 
 
-@runtime_checkable
-class Engine(Protocol):
+class Engine:
     """A way to train chunks."""
 
     at_once: list[int]
@@ -160,11 +160,10 @@ class Engine(Protocol):
         Raises:
           InputError: some cannot be trained; all others are.
         """
-        ...
+        raise NotImplementedError
 
     def close(self) -> None:
-        """Give back what it holds."""
-        ...
+        """Give back what it holds, by default nothing."""
 
 
 class Work:
@@ -172,38 +171,18 @@ class Work:
 
     pool: Pool | None = None
 
-    def __init__(
-        self,
-        key: str,
-        plan: Plan,
-        index: int,
-        runs: Sequence[int],
-        size: int,
-        devices: Devices,
-        policies: Any,
-        stored: Stored,
-        every_s: float | None = None,
-    ):
-        """Prepare the training of `runs`, of which `stored.finished` need none.
+    def __init__(self, here: "Here", key: str, index: int, runs: Sequence[int], given: Given, every_s: float | None):
+        """Prepare the training of `runs` of the group `index`, which belong together.
 
-        Args:
-          key: name of the stored state.
-          plan: the sweep.
-          index: the group of the runs.
-          runs: all runs that belong together, in order.
-          size: runs side by side on each of the devices or rows of devices.
-          devices: as `placement` gives them.
-          policies: policies from which the group's runs start.
-          stored: what is stored, and the states to go on from.
-          every_s: seconds between two states; `CHECKPOINT_EVERY_S` by default.
+        `key`: name of the stored state. `every_s`: seconds between two states; `CHECKPOINT_EVERY_S` by default.
         """
-        self.key, self.plan, self.index, self.group = key, plan, index, plan.groups[index]
-        self.size, self.devices, self.policies = size, devices, policies
+        self.key, self.plan, self.index, self.group = key, here.plan, index, here.plan.groups[index]
+        width = (fixed := self.plan.width(self.group)) and (here.pool_size or fixed)
+        self.size, self.devices = placement(self.group.learners, len(runs), here.rooms[index], width)
+        self.policies = here.policies[index]
         self.every_s = CHECKPOINT_EVERY_S if every_s is None else every_s
-        self.together = len(runs)
-        self.left = [run for run in runs if run not in stored.finished]
-        self.states = stored.states(key) if self.left else []
-        self.watched = stored.watched
+        self.together, self.left = len(runs), [run for run in runs if run not in given.finished]
+        self.states, self.watched = given.states, given.watched
         self.stopped, self.given_up = threading.Event(), False
         self._events: SimpleQueue[Event | BaseException] = SimpleQueue()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -333,7 +312,7 @@ def _compiles(pool: Pool | None) -> bool:
     return pool is not None and pool.phase in COMPILING
 
 
-class Here:
+class Here(Engine):
     """The engine that is this process, with all its devices."""
 
     def __init__(self, plan: Plan, pool_size: int | None = None, groups: Sequence[int] | None = None):
@@ -349,31 +328,25 @@ class Here:
         chosen = {index: plan.groups[index] for index in (range(len(plan.groups)) if groups is None else groups)}
         self.rooms = {index: runs_at_once(group, pool_size, plan.width(group)) for index, group in chosen.items()}
         self.policies = {index: earlier_policies(group) for index, group in chosen.items()}
-        self.at_once = [slots(group, self.rooms[index]) for index, group in chosen.items()]
+        self.at_once = [min(self.rooms[index], len(group.first_runs)) for index, group in chosen.items()]
 
-    def works(self, chosen: Sequence[Chunk], stored: Stored, every_s: float | None = None) -> Iterator[Work]:
+    def works(self, chosen: Sequence[Chunk], given: Given, every_s: float | None = None) -> Iterator[Work]:
         """Yield the trainings of some chunks, one after another; those of a group train side by side."""
         for index, room in self.rooms.items():
-            group = self.plan.groups[index]
-            width = (fixed := self.plan.width(group)) and (self.pool_size or fixed)
             mine = [run for chunk in chosen if chunk.group == index for run in chunk.runs]
-            for runs in in_turn(group.learners, mine, room):
-                place = placement(group.learners, len(runs), room, width)
-                work = Work(key_of(chosen), self.plan, index, runs, *place, self.policies[index], stored, every_s)
+            for runs in in_turn(self.plan.groups[index].learners, mine, room):
+                work = Work(self, key_of(chosen), index, runs, given, every_s)
                 if work.left:
                     yield work
 
     def train(self, chosen: Sequence[Chunk], desk: Desk) -> None:
-        for work in self.works(chosen, desk):
+        for work in self.works(chosen, desk.given(chosen)):
             try:
                 for event in work.events():
                     desk.take(event)
             finally:
                 for event in work.stop():
                     desk.take(event)
-
-    def close(self) -> None:
-        """Nothing is held."""
 
 
 EngineOf: TypeAlias = Callable[[Plan], Engine]

@@ -61,11 +61,6 @@ def runs_at_once(group: Group, pool_size: int | None = None, width: int | None =
     return min(fit, devices * (width or max(1, CPU_CACHE_BYTES // group.bytes)))
 
 
-def slots(group: Group, room: int) -> int:
-    """Return the number of a group's runs that train at once in so much `room`."""
-    return min(room, len(group.first_runs))
-
-
 @lru_cache(maxsize=16)
 def training_bytes(group: Group) -> int:
     """About what one run takes at the peak of its training: its state before and after, and what works on it."""

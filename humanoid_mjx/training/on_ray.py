@@ -11,7 +11,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +21,7 @@ from humanoid_mjx.compute import kept
 from humanoid_mjx.config import parse
 from humanoid_mjx.spec import InputError, package
 from humanoid_mjx.training import chunks
-from humanoid_mjx.training.chunks import Arrays, Chunk, Desk, Event, Here, Note, UnderWay, Work, key_of
+from humanoid_mjx.training.chunks import Chunk, Desk, Engine, Event, Given, Here, Note, UnderWay, Work, key_of
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import counted
 from humanoid_mjx.user_code import in_words
@@ -59,22 +58,6 @@ class Refused(NamedTuple):
     text: str
 
 
-@dataclass
-class Given:
-    """What a worker is told beside its chunk; to it the driver (`chunks.Stored`)."""
-
-    finished: set[int]
-    watched: np.ndarray | None
-    stored: list[tuple[str, Arrays]]
-    every_s: float
-    """Seconds between two states ..."""
-    look_s: float
-    """... and between two messages about the progress."""
-
-    def states(self, key: str) -> list[tuple[str, Arrays]]:
-        return self.stored
-
-
 class Worker:
     """The process that trains, one chunk after another."""
 
@@ -95,15 +78,15 @@ class Worker:
         """Return the machine and process, and the versions of what computes."""
         return f"{socket.gethostname()}:{os.getpid()}", compute.versions()
 
-    def train(self, chunk: Chunk, given: Given) -> Iterator[Event | Refused]:
-        """Yield what the training of a chunk gives."""
+    def train(self, chunk: Chunk, given: Given, every_s: float, look_s: float) -> Iterator[Event | Refused]:
+        """Yield what the training of a chunk gives: its state each `every_s` seconds, its progress each `look_s`."""
         try:
             self.plan = self.plan or make_plan(self.config)
             if chunk.group not in self.engines:
                 self.engines[chunk.group] = Here(self.plan, groups=[chunk.group])
-            for work in self.engines[chunk.group].works([chunk], given, given.every_s):
+            for work in self.engines[chunk.group].works([chunk], given, every_s):
                 self.work = work
-                events = work.events(given.look_s)
+                events = work.events(look_s)
                 next(events)  # a note on how many train side by side
                 yield from events
                 if work.stopped.is_set():
@@ -118,7 +101,7 @@ class Worker:
         return self.work.stop() if isinstance(self.work, Work) else []
 
 
-class OnRay:
+class OnRay(Engine):
     """The engine that is a Ray cluster."""
 
     def __init__(self, plan: Plan, address: str = LOCAL):
@@ -142,7 +125,8 @@ class OnRay:
         """By the stream of its events: a worker, its name and its chunk."""
 
     def train(self, chosen: Sequence[Chunk], desk: Desk) -> None:
-        waiting = deque(chunk for chunk in chosen if not desk.finished.issuperset(chunk.runs))
+        finished = desk.given(chosen).finished
+        waiting = deque(chunk for chunk in chosen if not finished.issuperset(chunk.runs))
         tries: Counter[int] = Counter()
         given_up: list[str] = []
         sizes = f"{counted(len(waiting), 'chunk')} of up to {self.plan.chunk:,} runs"
@@ -213,17 +197,12 @@ class OnRay:
         desk.take(Note(f"worker {name} trains"))
 
     def _begin(self, chunk: Chunk, desk: Desk) -> None:
-        """Hand a chunk to an idle worker, with the rows of stored states that are its own."""
+        """Hand a chunk to an idle worker."""
         worker, name = self.idle.popitem()
-        runs, stored = np.array(chunk.runs), []
-        for where, arrays in desk.states(key_of([chunk])):
-            rows = np.isin(arrays["slots"], runs) if "slots" in arrays else np.ones(1, bool)
-            if rows.any():
-                stored.append((where, {key: array[rows] if array.ndim else array for key, array in arrays.items()}))
         size = self.plan.groups[chunk.group].bytes * len(chunk.runs)
         every_s = max(chunks.CHECKPOINT_EVERY_S, size / STATE_BYTES_PER_S)
-        given = Given(desk.finished & set(chunk.runs), desk.watched, stored, every_s, LOOK_EVERY_S)
-        stream = worker.train.options(num_returns="streaming").remote(chunk, given)
+        given = desk.given([chunk])
+        stream = worker.train.options(num_returns="streaming").remote(chunk, given, every_s, LOOK_EVERY_S)
         self.busy[stream] = worker, name, chunk
 
     def _hear(self, stream: Any, desk: Desk) -> tuple[str, Chunk, str] | None:

@@ -4,7 +4,7 @@ time that a sweep would take by a short piece of it."""
 import heapq
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -219,7 +219,7 @@ class Duration(NamedTuple):
         return self.compile_s + self.train_s + self.evaluate_s
 
 
-def estimate(plan: Plan, rooms: Sequence[int], measured_s: float = MEASURED_S) -> Duration:
+def estimate(plan: Plan, rooms: Mapping[int, int], measured_s: float = MEASURED_S) -> Duration:
     """Train a piece of a sweep and say how long all of it would take.
 
     A sample of the runs trains side by side, as many as the sweep would train at once. Episodes of an early policy can

@@ -14,7 +14,21 @@ from humanoid_mjx.runs.folder import REMOVE, RunFolder, diverged_name, pool_name
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import all_runs, run_numbers, scores, write_tables
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.chunks import Arrays, Ended, Engine, Event, Finished, Growth, Note, State, UnderWay, chunks
+from humanoid_mjx.training.chunks import (
+    Arrays,
+    Chunk,
+    Ended,
+    Engine,
+    Event,
+    Finished,
+    Given,
+    Growth,
+    Note,
+    State,
+    UnderWay,
+    chunks,
+    key_of,
+)
 from humanoid_mjx.training.curves import Curves
 from humanoid_mjx.training.pace import COMPILING, Look, Pace
 from humanoid_mjx.training.plan import Plan
@@ -107,7 +121,8 @@ class Session:
         Raises:
           InputError: it cannot train some of it.
         """
-        engine.train(self.chosen, self)
+        if self.chosen:
+            engine.train(self.chosen, self)
         for _ in range(1, self.rungs):
             engine.train(chunks(self.plan, self._go_on()), self)
 
@@ -150,10 +165,12 @@ class Session:
         for path in pools(self.folder.path):
             path.unlink()
 
-    def states(self, key: str) -> list[tuple[str, Arrays]]:
-        path = self.folder.path / pool_name(key)
+    def given(self, chosen: Sequence[Chunk]) -> Given:
+        runs = {run for chunk in chosen for run in chunk.runs}
+        path = self.folder.path / pool_name(key := key_of(chosen))
         newer = [(str(path), read_arrays(path, digest=self.folder.digest))] if key in self.stored else []
-        return newer + self.interrupted
+        states = [(where, _only(runs, arrays)) for where, arrays in newer + self.interrupted]
+        return Given(self.finished & runs, self.watched, [each for each in states if len(each[1].get("slots", " "))])
 
     def take(self, event: Event) -> None:
         match event:
@@ -277,4 +294,4 @@ def _only(runs: set[int], arrays: Arrays) -> Arrays:
     if "slots" not in arrays:  # no such file: who restores it says so
         return arrays
     rows = np.isin(arrays["slots"], list(runs))
-    return {name: array[rows] if array.ndim else array for name, array in arrays.items()}
+    return arrays if rows.all() else {name: array[rows] if array.ndim else array for name, array in arrays.items()}

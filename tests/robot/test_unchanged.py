@@ -496,7 +496,7 @@ def test_info_and_the_report_show_the_table_and_mujocos_warnings(tmp_path, monke
         "MuJoCo warns compiler attribute",
     ):
         assert words in " ".join(shown.get().split()), words
-    for slow in ("training_bytes", "disk_bytes", "runs_at_once", "slots"):
+    for slow in ("training_bytes", "disk_bytes", "runs_at_once"):
         monkeypatch.setattr(cost, slow, lambda *_, **__: 1)
     monkeypatch.setattr(Group, "bytes", 1)
     with console.capture() as shown:

@@ -165,7 +165,7 @@ def test_a_lost_chunk_goes_on_from_its_state(cluster, tmp_path, monkeypatch):
             (tmp_path / "taken").touch()
 
     def beginning(self, chunk, desk):
-        states = desk.states(chunks.key_of([chunk]))
+        states = desk.given([chunk]).states
         began.setdefault(chunk.number, []).append(max([arrays["progress"].max() for _, arrays in states], default=0))
         begin(self, chunk, desk)
 
