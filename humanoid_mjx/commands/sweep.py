@@ -85,17 +85,10 @@ def run_sweep(
                 tracking.files.append(policy)
     axes, points = list(learning.axes), ranked(list(learning.axes), summary, quickest)
     print_summary(axes, summary, points, learning.compared, read_provenance(run.path), quickest)
-    for words in filter(None, (rungs_in_words(summary), why_stopped(run.path, summary))):
-        console.print(words, soft_wrap=True)
-    for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths):
-        console.print(f"{path}", soft_wrap=True)
-    if words := in_words(axes, points, learning.compared):
-        console.print(words, soft_wrap=True)
-    if growing:
-        console.print(f"{growing.file}", soft_wrap=True)
-    else:
-        console.print(f"next: humanoid-mjx report {shlex.quote(str(run.path))}", soft_wrap=True)
-    for line in tracking.lines:
+    lines = [rungs_in_words(summary), why_stopped(run.path, summary)]
+    lines += [str(path) for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths)]
+    further = f"{growing.file}" if growing else f"next: humanoid-mjx report {shlex.quote(str(run.path))}"
+    for line in filter(None, (*lines, in_words(axes, points, learning.compared), further, *tracking.lines)):
         console.print(line, soft_wrap=True)
     if later := loaded.later(run.path):
         place = run.path / THEN

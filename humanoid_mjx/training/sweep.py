@@ -150,35 +150,27 @@ def sweep(
     elif not isinstance(config, Config):
         raise InputError(f"sweep: config must be a config, its name or path, or a mapping of its keys, got {config!r}.")
     check_later(config)  # before anything trains
-    plan = make_plan(config.alone)
-    with (
-        closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,
-        nullcontext(reporter or Reporter()) if reporter or quiet else reporting() as speaker,
-        Tracking(trackers, speaker.note) as tracking,
-    ):
-        place = Path(out or (latest_path if resume else fresh_path)(config.name))
-        check_disk(place, plan, trainer.at_once)
-        with closing(_open(place, plan, resume, given=out is not None)) as folder:
-            session = Session(folder, plan, speaker, [make(folder, plan) for make in (*watch, *tracking.watch)])
-            try:
-                session.train(trainer)
-                session.end()
-            finally:
-                session.write_results()
-    if later := config.later(folder.path):
-        place = folder.path / THEN
-        sweep(
-            later,
-            place,
-            resume=resume and place.exists(),
-            pool_size=pool_size,
-            reporter=reporter,
-            quiet=quiet,
-            trackers=trackers,
-            watch=watch,
-            engine=engine,
-        )
-    return Run(folder.path)
+    runs: list[Run] = []
+    while config:
+        plan = make_plan(config.alone)
+        with (
+            closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,
+            nullcontext(reporter or Reporter()) if reporter or quiet else reporting() as speaker,
+            Tracking(trackers, speaker.note) as tracking,
+        ):
+            place = Path(out or (latest_path if resume else fresh_path)(config.name))
+            check_disk(place, plan, trainer.at_once)
+            with closing(_open(place, plan, resume, given=out is not None)) as folder:
+                session = Session(folder, plan, speaker, [make(folder, plan) for make in (*watch, *tracking.watch)])
+                try:
+                    session.train(trainer)
+                    session.end()
+                finally:
+                    session.write_results()
+        runs.append(Run(folder.path))
+        config, out = config.later(folder.path), folder.path / THEN
+        resume = resume and out.exists()
+    return runs[0]
 
 
 def check_later(config: Config) -> None:
