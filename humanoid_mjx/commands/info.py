@@ -187,10 +187,8 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
 def _show_time(plan: Plan) -> None:
     with Bar(console) as bar:
         bar.phase("compiling and training a piece of it")
-        found = estimate(plan, Here(plan).rooms)
-    parts = {"compiling (less once it is cached)": found.compile_s, "training": found.train_s}
-    parts |= {"evaluating": found.evaluate_s} if found.evaluate_s > 0 else {}
+        parts, measured = estimate(plan, Here(plan).rooms)
     words = ", ".join(f"{time_in_words(seconds)} of {part}" for part, seconds in parts.items())
-    each = f" in each of {found.measured} programs" if len(plan.groups) > 1 else ""
-    how = f"by {MEASURED_S:g} s of its training{each}"
-    console.print(f"about {time_in_words(found.total_s)} on this machine, without figures: {words}; estimated {how}")
+    each = f" in each of {measured} programs" if len(plan.groups) > 1 else ""
+    how, total = f"by {MEASURED_S:g} s of its training{each}", time_in_words(sum(parts.values()))
+    console.print(f"about {total} on this machine, without figures: {words}; estimated {how}")

@@ -203,23 +203,7 @@ def _left(seconds: float) -> float:
     return seconds if seconds > 0 else -OVERRUN * seconds
 
 
-class Duration(NamedTuple):
-    """Seconds that a sweep takes by estimate, figures left out."""
-
-    compile_s: float
-    """Tracing and compiling, as long as it took here: less where the cache on disk has the programs by now."""
-    train_s: float
-    evaluate_s: float
-    measured: int
-    """Number of the sweep's programs that were measured."""
-
-    @property
-    def total_s(self) -> float:
-        """All together."""
-        return self.compile_s + self.train_s + self.evaluate_s
-
-
-def estimate(plan: Plan, rooms: Mapping[int, int], measured_s: float = MEASURED_S) -> Duration:
+def estimate(plan: Plan, rooms: Mapping[int, int], measured_s: float = MEASURED_S) -> tuple[dict[str, float], int]:
     """Train a piece of a sweep and say how long all of it would take.
 
     A sample of the runs trains side by side, as many as the sweep would train at once. Episodes of an early policy can
@@ -230,13 +214,18 @@ def estimate(plan: Plan, rooms: Mapping[int, int], measured_s: float = MEASURED_
       plan: what is to be trained.
       rooms: how many runs of each group the devices can train at once.
       measured_s: how long each program that is measured trains, s.
+
+    Returns:
+      the seconds of each part, figures left out, compiling as long as it took here; and how many of the sweep's
+      programs were measured.
     """
     chosen = np.unique(np.linspace(0, len(plan.groups) - 1, MOST_PROGRAMS).round().astype(int))
     found = np.array([_measure(plan, plan.groups[index], rooms[index], measured_s) for index in chosen])
     runs = np.array([len(group.runs) for group in plan.groups])
     compiling, training, evaluating = found.sum(axis=0)
     more = runs.sum() / runs[chosen].sum()
-    return Duration(compiling * len(runs) / len(chosen), training * more, evaluating * more, len(chosen))
+    parts = {"compiling (less once it is cached)": compiling * len(runs) / len(chosen), "training": training * more}
+    return parts | ({"evaluating": evaluating * more} if evaluating else {}), len(chosen)
 
 
 def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[float, float, float]:
