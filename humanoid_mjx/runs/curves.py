@@ -3,16 +3,14 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 from jaxtyping import Float, Num
 
 from humanoid_mjx.runs.ranking import NOT_COMPARED, Compared, at_end, by_point, compared, furthest, ranked
-from humanoid_mjx.runs.tables import column_names, read_table
+from humanoid_mjx.runs.tables import opened, read_table
 from humanoid_mjx.spec import InputError
 
 
@@ -54,19 +52,16 @@ def read_learning(path: Path, config: Mapping[str, Any], summary: Mapping[str, n
       InputError: a table is missing, damaged or does not fit the config.
     """
     file, (mode, axes) = path / "results.parquet", swept(config)
-    columns = column_names(file)
-    if not columns:
-        read_table(file)  # says what is wrong
+    with opened(file) as table:
+        schema, rows, columns = table.schema_arrow, table.metadata.num_rows, table.schema_arrow.names
     if missing := [axis for axis in axes if axis not in summary or axis not in columns]:
         raise InputError(f"{path}: its tables do not fit its config; they have no column {missing[0]}.")
-    schema = pq.read_schema(file)
     unit, runs, kept = "step" if "step" in columns else "episode", len(summary["point"]), at_end(summary)
     names = [name for name in columns if str(schema.field(name).type) in ("float", "double") and "." not in name]
-    record, odd = divmod(pq.read_metadata(file).num_rows, runs)
+    record, odd = divmod(rows, runs)
     if odd or not record:
         raise InputError(f"{path}: its tables do not fit together; --resume the run to write them anew.")
-    batches = pq.ParquetFile(file).iter_batches(record, columns=[unit])
-    places = next(islice(batches, int(np.argmax(kept)), None)).column(0).to_numpy(zero_copy_only=False)
+    places = read_table(file, [unit])[unit].reshape(runs, record)[np.argmax(kept)]
     summary = furthest(summary)
     points, first, row = np.unique(summary["point"], return_index=True, return_inverse=True)
     seeds, column = np.unique(summary["seed"], return_inverse=True)

@@ -120,14 +120,6 @@ class RunFolder:
             target.parent.mkdir(exist_ok=True)
         return whole_file(target)
 
-    def parts(self) -> list[Path]:
-        """The files of finished runs."""
-        return parts(self.path)
-
-    def add_part(self, first: int, arrays: Arrays) -> None:
-        """Store finished runs under the number of the first, which no other part has."""
-        self.write_arrays(f"checkpoint/part-{first:05d}.npz", arrays)
-
 
 NUMBER = re.compile(r"^part-(\d+)\.npz$")
 

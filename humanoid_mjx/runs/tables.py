@@ -157,8 +157,8 @@ NEEDED: dict[str, tuple[set[str], ...]] = {
 """Columns without which a parquet file of a run folder is another one: one of each set."""
 
 
-def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np.ndarray]:
-    """The columns of a parquet file of a run folder: all, or those named.
+def opened(path: Path) -> pq.ParquetFile:
+    """A parquet file of a run folder, to be read within `with`.
 
     Raises:
       InputError: the file is missing, truncated, damaged, another one or of another run.
@@ -166,49 +166,46 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; --resume the run to write it.")
     try:
-        chosen = None if columns is None else list(columns)
-        table = pq.read_table(path, columns=chosen, page_checksum_verification=True)
-        arrays = {name: table[name].to_numpy() for name in table.column_names}
-    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        file = pq.ParquetFile(path, page_checksum_verification=True)
+        columns = set(file.schema_arrow.names)
+    except (pa.ArrowException, OSError, ValueError) as error:  # names that are no text
         raise _useless(path) from error
-    _check_run(path, table.schema)
-    if columns is None and not (table.num_rows and _fits(path.stem, set(arrays))):
-        raise _useless(path, "is another one")
-    return arrays
-
-
-def _check_run(path: Path, schema: pa.Schema) -> None:
-    stored = (schema.metadata or {}).get(b"config")
-    digest = config_digest(read_config(path.parent))
-    if how := misplaced(stored and stored.decode(errors="replace"), digest):
+    stored = (file.schema_arrow.metadata or {}).get(b"config")
+    if how := misplaced(stored and stored.decode(errors="replace"), config_digest(read_config(path.parent))):
         raise _useless(path, how)
+    fits = all(one & columns for one in NEEDED.get(path.stem, ()))
+    if not (fits and file.metadata.num_rows) or (path.stem == "results" and "wall_s" in columns):
+        raise _useless(path, "is another one")
+    return file
 
 
 _useless = partial(damaged, then=REWRITTEN)
 
 
-def _fits(stem: str, columns: set[str]) -> bool:
-    """True if a parquet file with such columns can be the one of that name."""
-    return all(one & columns for one in NEEDED.get(stem, ())) and not (stem == "results" and "wall_s" in columns)
+def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+    """The columns of a parquet file of a run folder: all, or those named.
+
+    Raises:
+      InputError: as of `opened`.
+    """
+    with opened(path) as file:
+        try:
+            table = file.read(None if columns is None else list(columns))
+            return {name: table[name].to_numpy() for name in table.column_names}
+        except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+            raise _useless(path) from error
 
 
 def column_names(path: Path) -> list[str]:
     """The names of the columns of a parquet file of a run folder; none where there is no such file.
 
     Raises:
-      InputError: the file is truncated, damaged, another one or of another run.
+      InputError: as of `opened`.
     """
     if not path.is_file():
         return []
-    try:
-        schema = pq.read_schema(path)
-        names = schema.names
-    except (pa.ArrowException, OSError, ValueError) as error:  # names that are no text
-        raise _useless(path) from error
-    _check_run(path, schema)
-    if not _fits(path.stem, set(names)):
-        raise _useless(path, "is another one")
-    return names
+    with opened(path) as file:
+        return file.schema_arrow.names
 
 
 def named(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

@@ -10,7 +10,16 @@ import numpy as np
 
 from humanoid_mjx import compute
 from humanoid_mjx.runs.archive import check_finite
-from humanoid_mjx.runs.folder import REMOVE, RunFolder, diverged_name, pool_name, pools, read_arrays, read_provenance
+from humanoid_mjx.runs.folder import (
+    REMOVE,
+    RunFolder,
+    diverged_name,
+    parts,
+    pool_name,
+    pools,
+    read_arrays,
+    read_provenance,
+)
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import all_runs, run_numbers, scores, write_tables
 from humanoid_mjx.spec import InputError
@@ -67,7 +76,7 @@ class Session:
         self.watched = max((watcher.points for watcher in watchers), key=len, default=None)
         if self.watched is not None:  # at the last rung
             self.watched = self.watched + (len(plan.rungs) - 1) * len(plan.points)
-        for part in folder.parts():
+        for part in parts(folder.path):
             # Check policies now: a damaged one can still be trained again by this sweep.
             arrays = read_arrays(part, digest=folder.digest)
             if not np.any(arrays.get("final.diverged")):
@@ -216,7 +225,7 @@ class Session:
         np.add.at(self.scores, points[known], rows[known])
         numbers = {"point": point, "seed": seeds.astype(np.int32)}
         numbers |= {"rung": rung} if len(self.plan.rungs) > 1 else {}
-        self.folder.add_part(min(runs.tolist()), numbers | arrays)
+        self.folder.write_arrays(f"checkpoint/part-{runs.min():05d}.npz", numbers | arrays)
         self.finished.update(runs.tolist())
         self.tables_are_old = True
         for key, look in self.under_way.items():  # until the next look
