@@ -16,13 +16,12 @@ from humanoid_mjx.commands import console
 from humanoid_mjx.commands.sweep import run_sweep
 from humanoid_mjx.compute import kept
 from humanoid_mjx.config import load, parse_yaml
-from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
 from humanoid_mjx.runs.tables import all_runs, run_numbers
 from humanoid_mjx.spec import InputError, package
 from humanoid_mjx.training.chunks import Chunk, Desk, Engine, chunks
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import counted
-from humanoid_mjx.training.sweep import train_chunks
+from humanoid_mjx.training.sweep import open_folder, train_chunks
 from humanoid_mjx.training.trackers import Tracking
 
 GENERIC = {"name", "timeout_min", "mem_gb", "nodes", "cpus_per_task", "gpus_per_node", "tasks_per_node"}
@@ -93,8 +92,8 @@ def submit_sweep(
     if loaded.then:
         raise InputError(f"{config}: then: --slurm trains one part; train a config without it, and then start_from.")
     plan = make_plan(loaded)
-    place = Path(out or (latest_path if resume else fresh_path)(plan.config.name))
-    folder = (RunFolder.resume if resume else RunFolder.create)(place, plan.resolved())
+    folder = open_folder(out, plan, resume, Others(plan).at_once)
+    place = folder.path
     try:
         jobs, last = _submit(submitit, parameters, plan, place, trackers)
     except Exception as error:  # submitit raises half a dozen kinds

@@ -1,14 +1,13 @@
 """The command `sweep`."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
-import numpy as np
 import typer
 from rich.table import Column, Table
 
@@ -22,7 +21,6 @@ from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:
     from humanoid_mjx.report.growing import Growing
-    from humanoid_mjx.runs.ranking import Compared, Ranked
     from humanoid_mjx.training.chunks import EngineOf
 
 RATES = ("episodes", "steps")
@@ -72,7 +70,7 @@ def run_sweep(
         bar.phase("drawing figures")
         from humanoid_mjx.evaluation.replay import why_stopped
         from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
-        from humanoid_mjx.runs.ranking import in_words, ranked, rungs_in_words
+        from humanoid_mjx.runs.ranking import BEST_POINTS, best_table, in_words, ranked, rungs_in_words
 
         summary, quickest = run.summary, run.config.episodes is not None
         learning, paths = draw_run(run, summary)
@@ -83,8 +81,17 @@ def run_sweep(
             with suppress(InputError):  # there is none where all runs stopped at numbers that were not finite
                 save_policy(find_policy(run.path), policy)
                 tracking.files.append(policy)
-    axes, points = list(learning.axes), ranked(list(learning.axes), summary, quickest)
-    print_summary(axes, summary, points, learning.compared, read_provenance(run.path), quickest)
+    axes, provenance = list(learning.axes), read_provenance(run.path)
+    points = ranked(axes, summary, quickest)
+    headings, rows = best_table(axes, summary, points[:BEST_POINTS], quickest, learning.compared)
+    title = f"{len(points)} points; the best {len(rows)}" if len(points) > 1 else "1 point"
+    rates = [f"{provenance[f'{unit}_per_s']:,.0f} {unit}/s" for unit in RATES if f"{unit}_per_s" in provenance]
+    caption = f"training made {' and '.join(rates)}, without compiling" if rates else None
+    columns = (Column(heading.partition(".")[2] or heading, justify="right") for heading in headings)
+    table = Table(*columns, title=title, title_justify="left", caption=caption, caption_justify="left")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
     lines = [rungs_in_words(summary), why_stopped(run.path, summary)]
     lines += [str(path) for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths)]
     further = f"{growing.file}" if growing else f"next: humanoid-mjx report {shlex.quote(str(run.path))}"
@@ -99,25 +106,3 @@ def _growing(bar: Bar) -> "Growing":
     from humanoid_mjx.report.growing import Growing
 
     return Growing(bar)
-
-
-def print_summary(
-    axes: Sequence[str],
-    summary: Mapping[str, np.ndarray],
-    points: Sequence["Ranked"],
-    found: "Compared",
-    provenance: Mapping[str, Any],
-    quickest: bool,
-) -> None:
-    """The best points of a sweep, as `ranked` has them, and how fast it trained."""
-    from humanoid_mjx.runs.ranking import BEST_POINTS, best_table
-
-    headings, rows = best_table(axes, summary, points[:BEST_POINTS], quickest, found)
-    title = f"{len(points)} points; the best {len(rows)}" if len(points) > 1 else "1 point"
-    rates = [f"{provenance[f'{unit}_per_s']:,.0f} {unit}/s" for unit in RATES if f"{unit}_per_s" in provenance]
-    caption = f"training made {' and '.join(rates)}, without compiling" if rates else None
-    columns = (Column(heading.partition(".")[2] or heading, justify="right") for heading in headings)
-    table = Table(*columns, title=title, title_justify="left", caption=caption, caption_justify="left")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)

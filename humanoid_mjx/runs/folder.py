@@ -235,28 +235,18 @@ def read_provenance(path: Path) -> dict[str, Any]:
     return found
 
 
-def fresh_path(name: str, root: Path = Path("runs")) -> Path:
-    """Return the path after the last of runs/name, runs/name-2, runs/name-3, ..."""
-    number = max(_numbers(name, root), default=0) + 1
-    return root / (name if number == 1 else f"{name}-{number}")
-
-
-def latest_path(name: str, root: Path = Path("runs")) -> Path:
-    """Return the last of runs/name, runs/name-2, runs/name-3, ...
+def run_path(name: str, resume: bool = False, root: Path = Path("runs")) -> Path:
+    """Return the path after the last of runs/name, runs/name-2, runs/name-3, ..., or to `resume` the last of them.
 
     Raises:
-      InputError: there is none.
+      InputError: there is none to resume.
     """
-    if not (numbers := _numbers(name, root)):
+    form, paths = re.compile(rf"{re.escape(name)}(?:-(\d+))?"), root.iterdir() if root.is_dir() else ()
+    numbers = [int(match[1] or 1) for path in paths if (match := form.fullmatch(path.name))]
+    if resume and not numbers:
         raise InputError(f"{root / name}: there is no run to resume.")
-    return root / (name if max(numbers) == 1 else f"{name}-{max(numbers)}")
-
-
-def _numbers(name: str, root: Path) -> list[int]:
-    """Return the numbers of the existing paths of a name: 1 for `name`, 2 for `name-2`, and so on."""
-    form = re.compile(rf"{re.escape(name)}(?:-(\d+))?")
-    paths = root.iterdir() if root.is_dir() else ()
-    return [int(match[1] or 1) for path in paths if (match := form.fullmatch(path.name))]
+    number = max(numbers, default=0) + (not resume)
+    return root / (name if number == 1 else f"{name}-{number}")
 
 
 def disk_used(path: Path) -> int:

@@ -6,16 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.runs.statistics import (
-    ERROR,
-    Estimate,
-    difference,
-    estimate,
-    importance,
-    importance_of_drawn,
-    interval,
-    not_worse,
-)
+from humanoid_mjx.runs import statistics
 
 
 class Ranked(NamedTuple):
@@ -111,7 +102,7 @@ class Judged(NamedTuple):
     measure: str
     as_good: frozenset[int]
     """Points that are not told apart from the best (`statistics.not_worse`)."""
-    matters: dict[str, Estimate]
+    matters: dict[str, statistics.Estimate]
     """By parameter, and by two of them with ` and ` between for what they do together: the share of the variance of
     the measure between points; the greatest first."""
 
@@ -150,7 +141,7 @@ def compared(mode: str, axes: Sequence[str], summary: Mapping[str, np.ndarray], 
             found = by_point(summary, name)[1] * (-1 if name.endswith("steps") else 1)
             if not measure or np.ptp(np.nan_to_num(found[left].mean(axis=1))) > SAME:
                 measure, values = name, found
-            left[left] = not_worse(found[left], ERROR / len(names))
+            left[left] = statistics.not_worse(found[left], statistics.ERROR / len(names))
         known = whole & np.isfinite(values).all(axis=1)
         matters = _matters(mode == "grid", {axis: column[known] for axis, column in levels.items()}, values[known])
         return Judged(measure, frozenset(points[left | best].tolist()), matters) if measure else UNJUDGED
@@ -160,18 +151,18 @@ def compared(mode: str, axes: Sequence[str], summary: Mapping[str, np.ndarray], 
     return Compared(policy, learning, int(whole.sum()), finished.shape[1])
 
 
-def _matters(grid: bool, axes: Mapping[str, np.ndarray], values: np.ndarray) -> dict[str, Estimate]:
+def _matters(grid: bool, axes: Mapping[str, np.ndarray], values: np.ndarray) -> dict[str, statistics.Estimate]:
     """The importance of each parameter, and in a grid of what each two do together."""
     levels = {axis: find_levels(column) for axis, column in axes.items()}
     if not grid:
-        shares = {axis: importance_of_drawn(each.index, values) for axis, each in levels.items()}
+        shares = {axis: statistics.importance_of_drawn(each.index, values) for axis, each in levels.items()}
     else:
-        of = {axis: importance(each.index, values) for axis, each in levels.items()}
-        shares = {axis: estimate(share, -1.0, 1.0) for axis, share in of.items()}
+        of = {axis: statistics.importance(each.index, values) for axis, each in levels.items()}
+        shares = {axis: statistics.estimate(share, -1.0, 1.0) for axis, share in of.items()}
         for one, other in combinations(axes, 2):
             pair = levels[one].index * len(levels[other].labels) + levels[other].index
-            together = importance(pair, values) - of[one] - of[other]
-            shares[f"{one} and {other}"] = estimate(together, -1.0, 1.0)
+            together = statistics.importance(pair, values) - of[one] - of[other]
+            shares[f"{one} and {other}"] = statistics.estimate(together, -1.0, 1.0)
     named = {" and ".join(x.rpartition(".")[2] for x in key.split(" and ")): each for key, each in shares.items()}
     return dict(sorted(named.items(), key=lambda each: -each[1].value))
 
@@ -257,7 +248,7 @@ def best_table(
     measured = {each.measure: by_point(summary, each.measure) for each in found[:2] if each.measure}
     rows, wholes = [], summary.get(f"whole_{measure}", np.full(len(summary["point"]), np.nan))
     for point in points:
-        low, high = interval(wholes[summary["point"] == point.point], 0.0 if quickest else -np.inf)
+        low, high = statistics.interval(wholes[summary["point"] == point.point], 0.0 if quickest else -np.inf)
         whole = _number(point.whole) + (f" ({low:.2f} to {high:.2f})" if low < high else "")
         means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", whole]
         diverged = f"{int(np.sum(summary['diverged'][summary['point'] == point.point]))} of {seeds}"
@@ -273,7 +264,7 @@ def _as_good(point: int, best: int, measured: Mapping[str, tuple[np.ndarray, np.
     for judged, words in ((found.policy, "no,"), (found.learning, "slower,")):
         if point not in judged.as_good and judged.measure:
             numbers, values = measured[judged.measure]
-            gap = difference(*(values[numbers == each][0] for each in (point, best)))
+            gap = statistics.difference(*(values[numbers == each][0] for each in (point, best)))
             return f"{words} {gap.low:+.3g} to {gap.high:+.3g}" if np.isfinite(gap.value) else ""
     return "yes"
 

@@ -1,11 +1,11 @@
 """The tables of a run folder, derived from its finished blocks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -22,23 +22,20 @@ LAST_SHARE = 0.1
 """The share of a learning curve, from its end, over which the summary averages."""
 
 
-class Labels(NamedTuple):
-    """The columns that name the rows of the tables."""
-
-    hyper: Mapping[str, list[Any]]
-    """The hyper-parameters as columns, an entry for each sweep point."""
-    unit: str
-    """Unit of a learning curve: `episode` or `step`."""
-    places: Int[np.ndarray, "rungs record"]
-    """The count at each record point, by the rung of the run: one rung but in mode halving."""
-
-
 ROWS = 2**20
 """Rows of a table that are made and written at once: few enough to stay in a cache."""
 
 
-def write_tables(folder: RunFolder, labels: Labels) -> None:
+def write_tables(
+    folder: RunFolder, hyper: Mapping[str, list[Any]], unit: str, places: Int[np.ndarray, "rungs record"]
+) -> None:
     """Write results, summary and timing of all runs that are finished, ordered by point and seed.
+
+    Args:
+      folder: the run folder.
+      hyper: the hyper-parameters as columns, an entry for each sweep point.
+      unit: unit of a learning curve: `episode` or `step`.
+      places: the count at each record point, by the rung of the run: one rung but in mode halving.
 
     Raises:
       InputError: a file of the checkpoint is damaged or of another training.
@@ -46,11 +43,19 @@ def write_tables(folder: RunFolder, labels: Labels) -> None:
     arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."), folder.digest)
     if not arrays:
         return
-    size = max(1, ROWS // labels.places.shape[1])
+    encoded = {name: pa.array(values).dictionary_encode() for name, values in hyper.items()}
+    size = max(1, ROWS // places.shape[1])
     parts = [{name: array[i : i + size] for name, array in arrays.items()} for i in range(0, len(arrays["seed"]), size)]
+
+    def tables(name: str) -> Iterator[pa.Table]:
+        try:
+            for part in parts:
+                yield pa.table(_columns(name, encoded, unit, places, part), metadata={"config": folder.digest})
+        except (LookupError, ValueError, pa.ArrowException) as error:
+            raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.") from error
+
     for name in ("results", "summary", "timing"):
-        made = (_table(folder, name, labels, part) for part in parts)
-        first = next(made)
+        first = next(made := tables(name))
         with (
             folder.writing(f"{name}.parquet") as path,
             pq.ParquetWriter(path, first.schema, compression="zstd", write_page_checksum=True) as writer,
@@ -59,27 +64,23 @@ def write_tables(folder: RunFolder, labels: Labels) -> None:
                 writer.write_table(table)
 
 
-def _table(folder: RunFolder, name: str, labels: Labels, arrays: dict[str, np.ndarray]) -> pa.Table:
-    """A table of some runs."""
-    try:
-        return pa.table(_columns(name, labels, arrays)).replace_schema_metadata({"config": folder.digest})
-    except (LookupError, ValueError, pa.ArrowException) as error:
-        raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.") from error
-
-
-def _columns(table: str, labels: Labels, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+def _columns(
+    table: str, hyper: Mapping[str, pa.DictionaryArray], unit: str, places: np.ndarray, arrays: dict[str, np.ndarray]
+) -> dict[str, Any]:
     """The columns of a table, of some runs: a row for each run in the summary, for each record point in the others."""
-    runs = {"point": arrays["point"], "seed": arrays["seed"]}
-    runs |= {"rung": arrays["rung"] + 1} if "rung" in arrays else {}
-    if table == "summary":
-        return runs | _hyper(labels, arrays["point"]) | scores(arrays)
-    record = labels.places.shape[1]
-    rows = {name: np.repeat(numbers, record) for name, numbers in runs.items()}
-    rows[labels.unit] = labels.places[arrays.get("rung", np.zeros_like(runs["point"]))].reshape(-1).astype(np.int32)
+    rows: dict[str, Any] = {"point": arrays["point"], "seed": arrays["seed"]}
+    rows |= {"rung": arrays["rung"] + 1} if "rung" in arrays else {}
+    if table != "summary":
+        rows = {name: np.repeat(numbers, places.shape[1]) for name, numbers in rows.items()}
+        counts = places[arrays.get("rung", np.zeros_like(arrays["point"]))]
+        rows[unit] = counts.reshape(-1).astype(np.int32)
     if table == "timing":
         return rows | {"wall_s": arrays["time.wall_s"].reshape(-1)}
+    point = pa.array(rows["point"])
+    for name, column in hyper.items():
+        rows[name] = pa.DictionaryArray.from_arrays(column.indices.take(point), column.dictionary)
     curves = {name: curve.reshape(-1) for name, curve in named(arrays, "curve").items()}
-    return rows | _hyper(labels, rows["point"]) | curves
+    return rows | (scores(arrays) if table == "summary" else curves)
 
 
 def finished_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None) -> dict[str, np.ndarray]:
@@ -225,13 +226,3 @@ def scores(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     parts |= {f"whole_{name}": curves[name] for name in WHOLE if name in curves}
     means = {name: mean_known(part, axis=1).astype(np.float32) for name, part in parts.items()}
     return means | named(arrays, "final")
-
-
-def _hyper(labels: Labels, point: np.ndarray) -> dict[str, pa.DictionaryArray]:
-    """The columns of hyper-parameters, by the sweep point of each row."""
-    columns = {name: pa.array(values).dictionary_encode() for name, values in labels.hyper.items()}
-    point = pa.array(point)
-    return {
-        name: pa.DictionaryArray.from_arrays(column.indices.take(point), column.dictionary)
-        for name, column in columns.items()
-    }

@@ -31,7 +31,7 @@ class Curves:
 
     def __init__(self, folder: RunFolder, plan: Plan, most: int):
         """Begin with the runs that are finished already."""
-        self.plan, self.seeds, self.places = plan, plan.config.seeds, plan.labels().places[-1]
+        self.plan, self.seeds, self.places = plan, plan.config.seeds, plan.places[-1]
         self.points = chosen_points(plan, most)
         self.measures: dict[str, _Measure] = {}
         self.lock = threading.Lock()

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept, rng
 from humanoid_mjx.config import Config, set_below
 from humanoid_mjx.config.axes import sweep_points
 from humanoid_mjx.learners import Learner, make_learner
-from humanoid_mjx.runs.tables import Labels
 from humanoid_mjx.spec import InputError, Spec, modules_in
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.check import check_task
@@ -181,13 +181,14 @@ class Plan:
         """Unit of the length of training: `episode` or `step`."""
         return "step" if self.learners[0].unit == "total_steps" else "episode"
 
-    def labels(self) -> Labels:
-        """The columns that name the rows of a run folder's tables."""
+    @cached_property
+    def places(self) -> Int[np.ndarray, "rungs record"]:
+        """The count in `unit`s at each record point of a run, by its rung."""
         record, sizes = self.config.record, [learner.update_steps for learner in self.learners]
         budgets = np.array([rung.budget for rung in self.rungs])
         places = np.arange(1, record + 1) * budgets[:, None] // record
         ends = np.min([-(-budgets // size) * size for size in sizes], axis=0)  # the last update may end beyond a budget
-        return Labels(self.table(), self.unit, np.concatenate([places[:, :-1], ends[:, None]], axis=1))
+        return np.concatenate([places[:, :-1], ends[:, None]], axis=1)
 
     def table(self) -> dict[str, list[Any]]:
         """The hyper-parameters as columns: every scalar of task and learner by dotted name, an entry per point."""

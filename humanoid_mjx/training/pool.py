@@ -109,8 +109,7 @@ class Pool:
             self._program("finish", *self._ended(), after=self._program("advance", *given))
         began = time.monotonic()
         self.training, progress = self._call("advance", *given)
-        self.progress = np.asarray(progress.share)
-        self.recent = np.stack([progress.success, progress.episode_return, progress.length], axis=1)
+        self.progress, self.recent = map(np.asarray, progress)
         passed = np.arange(self.wall_s.shape[1]) < np.floor(self.progress[:, None] * self.wall_s.shape[1] + 1e-6)
         self.wall_s[passed & np.isnan(self.wall_s)] = time.monotonic() - self.began
         factor = CHUNK_S / max(time.monotonic() - began, 1e-6)

@@ -3,7 +3,7 @@
 All functions are of one run; `training.programs` compiles them for runs side by side.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -36,18 +36,11 @@ SLACK = 1e-3
 """Share of a part of training by which rounding may move its end."""
 
 SHOWN = ("success", "return", "steps")
-"""Columns of a learning curve that show how a run does, in the order of the last fields of `Progress`."""
+"""Columns of a learning curve that show how a run does."""
 
-
-class Progress(NamedTuple):
-    """Progress of a run and its scores: means over the episodes of the last points of its curve, or NaN."""
-
-    share: FloatScalar
-    """1.0 once training has ended."""
-    success: FloatScalar
-    episode_return: FloatScalar
-    length: FloatScalar
-    """Steps of an episode."""
+Progress: TypeAlias = tuple[FloatScalar, Float[Array, "3"]]
+"""Share of a run's training that is done, and its scores by `SHOWN`: means over the episodes of the last points of its
+curve, or NaN."""
 
 
 def begin(learner: Learner, key: Key[Array, ""], policy: Any = None) -> Training:
@@ -195,14 +188,14 @@ def record_entry(learner: Learner, outcome: Outcome) -> tuple[Array, list[Array]
 
 
 def progress_of(learner: Learner, training: Training) -> Progress:
-    """Return the progress of a run, and its scores over the last twentieth of its curve."""
+    """Return the progress of a run, with its scores over the last twentieth of its curve."""
     share = jnp.where(training.failed, 1.0, learner.progress(training.carry))
     columns = dict(zip(measures(learner, training.carry), training.record.T, strict=True))
     place = jnp.arange(learner.record)
     recent = jnp.abs(place - jnp.floor(share * learner.record)) <= max(1, learner.record // 20)
     episodes = jnp.sum(columns["episodes"] * recent)
     mean = {name: jnp.sum(columns[name] * recent) / episodes for name in SHOWN if name in columns}
-    return Progress(share, *(mean.get(name, jnp.nan) for name in SHOWN))
+    return share, jnp.stack([mean.get(name, jnp.float32(jnp.nan)) for name in SHOWN])
 
 
 def _finite(tree: Any) -> BoolScalar:

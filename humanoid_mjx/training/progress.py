@@ -3,8 +3,7 @@
 import os
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from datetime import timedelta
 from typing import Any, NamedTuple
 
@@ -98,15 +97,10 @@ def _plain(table: Table) -> str:
     return "\n".join(str(line) for line in (table.title, *rows, table.caption) if line is not None)
 
 
-@contextmanager
-def reporting() -> Iterator[Reporter]:
+def reporting() -> AbstractContextManager[Reporter]:
     """The reporter of a program: a bar in a terminal, lines in a notebook, otherwise nothing."""
     console = PatientConsole(highlight=False)
-    if not (console.is_terminal or console.is_jupyter):
-        yield Reporter()
-        return
-    with Bar(console) as bar:
-        yield bar
+    return Bar(console) if console.is_terminal or console.is_jupyter else nullcontext(Reporter())
 
 
 class Bar(Reporter):

@@ -9,35 +9,12 @@ import jax
 import numpy as np
 
 from humanoid_mjx import compute
+from humanoid_mjx.runs import folder as run_folder
 from humanoid_mjx.runs.archive import check_finite
-from humanoid_mjx.runs.folder import (
-    REMOVE,
-    RunFolder,
-    diverged_name,
-    parts,
-    pool_name,
-    pools,
-    read_arrays,
-    read_provenance,
-)
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import all_runs, run_numbers, scores, write_tables
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.chunks import (
-    Arrays,
-    Chunk,
-    Ended,
-    Engine,
-    Event,
-    Finished,
-    Given,
-    Growth,
-    Note,
-    State,
-    UnderWay,
-    chunks,
-    key_of,
-)
+from humanoid_mjx.training import chunks
 from humanoid_mjx.training.curves import Curves
 from humanoid_mjx.training.pace import COMPILING, Look, Pace
 from humanoid_mjx.training.plan import Plan
@@ -60,7 +37,7 @@ class Session:
 
     def __init__(
         self,
-        folder: RunFolder,
+        folder: run_folder.RunFolder,
         plan: Plan,
         reporter: Reporter,
         watchers: Sequence[Curves] = (),
@@ -76,12 +53,12 @@ class Session:
         self.watched = max((watcher.points for watcher in watchers), key=len, default=None)
         if self.watched is not None:  # at the last rung
             self.watched = self.watched + (len(plan.rungs) - 1) * len(plan.points)
-        for part in parts(folder.path):
+        for part in run_folder.parts(folder.path):
             # Check policies now: a damaged one can still be trained again by this sweep.
-            arrays = read_arrays(part, digest=folder.digest)
+            arrays = run_folder.read_arrays(part, digest=folder.digest)
             if not np.any(arrays.get("final.diverged")):
                 policies = {name: array for name, array in arrays.items() if name.startswith("policy")}
-                check_finite(policies, f"{part}: it", REMOVE)
+                check_finite(policies, f"{part}: it", run_folder.REMOVE)
         most = len(plan.rungs) * len(plan.points) * plan.config.seeds
         done = all_runs(folder.path, ("point", "seed"), folder.digest)
         self.finished = set(run_numbers(done, len(plan.points), plan.config.seeds).tolist())
@@ -93,29 +70,29 @@ class Session:
         """The present rung, the number of runs of the rungs before, and the pace of its runs."""
         self.rungs = 1 if numbers is not None else len(plan.rungs)
         """The number of rungs that train, from the present one on."""
-        self.chosen = chunks(plan)
+        self.chosen = chunks.chunks(plan)
         if numbers is not None:
             while self.rung < min(numbers, default=0) // plan.num_runs:
-                self.chosen = chunks(plan, self._go_on())
+                self.chosen = chunks.chunks(plan, self._go_on())
             self.chosen = [chunk for chunk in self.chosen if chunk.number in numbers]
         mine = range(most) if numbers is None else (run for chunk in self.chosen for run in chunk.runs)
         waiting = set(mine) - self.finished
-        self.interrupted: list[tuple[str, Arrays]] = []
+        self.interrupted: list[tuple[str, chunks.Arrays]] = []
         """The runs that an earlier session, perhaps of another engine, had under way, by their file."""
-        for path in pools(folder.path):
+        for path in run_folder.pools(folder.path):
             try:
-                self.interrupted.append((str(path), _only(waiting, read_arrays(path, digest=folder.digest))))
+                self.interrupted.append((str(path), _only(waiting, run_folder.read_arrays(path, digest=folder.digest))))
             except InputError:
                 if path.exists():  # else of another job of an array, which is done
                     raise
-        self.under_way: dict[str, UnderWay] = {}
+        self.under_way: dict[str, chunks.UnderWay] = {}
         self.stored: set[str] = set()
         """Keys of the states that this session has stored."""
         self.machines: set[str] = set()
         self.reported = 0.0
         self.earlier = {}
         with contextlib.suppress(InputError):  # a damaged one is written anew
-            self.earlier = read_provenance(folder.path)
+            self.earlier = run_folder.read_provenance(folder.path)
         self.began = time.monotonic()
         self.tables_due = self.began + TABLES_AFTER_S
         self.started = datetime.now(UTC).isoformat(timespec="seconds")
@@ -124,7 +101,7 @@ class Session:
         self.best: tuple[float, float] | None = None
         self.tables_are_old = True
 
-    def train(self, engine: Engine) -> None:
+    def train(self, engine: chunks.Engine) -> None:
         """Let an engine train what is not finished.
 
         Raises:
@@ -133,7 +110,7 @@ class Session:
         if self.chosen:
             engine.train(self.chosen, self)
         for _ in range(1, self.rungs):
-            engine.train(chunks(self.plan, self._go_on()), self)
+            engine.train(chunks.chunks(self.plan, self._go_on()), self)
 
     def _go_on(self) -> np.ndarray:
         """Begin the next rung; its points, as in `Group.points`: the best of the rung before, which is stored.
@@ -171,43 +148,44 @@ class Session:
                 f"{self.folder.path}: {missing:,} of {self.plan.num_runs:,} runs are not finished; the same command "
                 "with resume=True trains them."
             )
-        for path in pools(self.folder.path):
+        for path in run_folder.pools(self.folder.path):
             path.unlink()
 
-    def given(self, chosen: Sequence[Chunk]) -> Given:
+    def given(self, chosen: Sequence[chunks.Chunk]) -> chunks.Given:
         runs = {run for chunk in chosen for run in chunk.runs}
-        path = self.folder.path / pool_name(key := key_of(chosen))
-        newer = [(str(path), read_arrays(path, digest=self.folder.digest))] if key in self.stored else []
+        path = self.folder.path / run_folder.pool_name(key := chunks.key_of(chosen))
+        newer = [(str(path), run_folder.read_arrays(path, digest=self.folder.digest))] if key in self.stored else []
         states = [(where, _only(runs, arrays)) for where, arrays in newer + self.interrupted]
-        return Given(self.finished & runs, self.watched, [each for each in states if len(each[1].get("slots", " "))])
+        states = [(where, arrays) for where, arrays in states if len(arrays.get("slots", " "))]
+        return chunks.Given(self.finished & runs, self.watched, states)
 
-    def take(self, event: Event) -> None:
+    def take(self, event: chunks.Event) -> None:
         match event:
-            case UnderWay():
+            case chunks.UnderWay():
                 self.under_way[event.key] = event
                 if (now := time.monotonic()) - self.reported >= REPORT_EVERY_S:
                     self.reported = now
                     self._report()
                 if now >= self.tables_due:
                     self.write_results()
-            case Growth():
+            case chunks.Growth():
                 for watcher in self.watchers:
                     watcher.grow(event.runs, event.progress, event.curves)
-            case State():
-                self.folder.write_arrays(pool_name(event.key), event.arrays)
+            case chunks.State():
+                self.folder.write_arrays(run_folder.pool_name(event.key), event.arrays)
                 self.stored.add(event.key)
-            case Finished():
+            case chunks.Finished():
                 self._store(event)
-            case Note():
+            case chunks.Note():
                 self.reporter.note(event.text)
-            case Ended():
+            case chunks.Ended():
                 self.under_way.pop(event.key, None)
                 self.compile_s += event.compile_s
                 self.tables_are_old = True
                 self.stored.discard(event.key)
-                (self.folder.path / pool_name(event.key)).unlink(missing_ok=True)
+                (self.folder.path / run_folder.pool_name(event.key)).unlink(missing_ok=True)
 
-    def _store(self, event: Finished) -> None:
+    def _store(self, event: chunks.Finished) -> None:
         new = np.array([run not in self.finished for run in event.runs.tolist()])
         runs, arrays = event.runs[new], {name: array[new] for name, array in event.arrays.items()}
         if not len(runs):  # of a worker that was thought lost
@@ -216,7 +194,7 @@ class Session:
         points, seeds = np.divmod(runs, count)
         rung, point = np.divmod(points.astype(np.int32), every)
         for run, state in event.diverged.items():
-            self.folder.write_arrays(diverged_name(run // count % every, run % count), state)
+            self.folder.write_arrays(run_folder.diverged_name(run // count % every, run % count), state)
         ended = scores(arrays)
         rows = np.stack(
             [np.ones(len(runs)), *(ended.get(name, ended["diverged"] * np.nan) for name in SHOWN[:2])], axis=1
@@ -273,7 +251,7 @@ class Session:
             return
         start = time.monotonic()
         self.tables_are_old = False
-        write_tables(self.folder, self.plan.labels())
+        write_tables(self.folder, self.plan.table(), self.plan.unit, self.plan.places)
         if (finished := len(self.finished)) == self.earlier.get("runs_finished"):
             return
         rates = self.pace.rates(self.plan, self.folder.path)
@@ -298,7 +276,7 @@ class Session:
         self.tables_due = now + (now - start) / TABLES_SHARE
 
 
-def _only(runs: set[int], arrays: Arrays) -> Arrays:
+def _only(runs: set[int], arrays: chunks.Arrays) -> chunks.Arrays:
     """Return the rows of some runs in a file of runs under way."""
     if "slots" not in arrays:  # no such file: who restores it says so
         return arrays

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from humanoid_mjx.config import Config, load, parse
-from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path, read_config
+from humanoid_mjx.runs.folder import RunFolder, read_config, run_path
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
@@ -157,16 +157,14 @@ def sweep(
             closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,
             nullcontext(reporter or Reporter()) if reporter or quiet else reporting() as speaker,
             Tracking(trackers, speaker.note) as tracking,
+            closing(open_folder(out, plan, resume, trainer.at_once)) as folder,
         ):
-            place = Path(out or (latest_path if resume else fresh_path)(config.name))
-            check_disk(place, plan, trainer.at_once)
-            with closing(_open(place, plan, resume, given=out is not None)) as folder:
-                session = Session(folder, plan, speaker, [make(folder, plan) for make in (*watch, *tracking.watch)])
-                try:
-                    session.train(trainer)
-                    session.end()
-                finally:
-                    session.write_results()
+            session = Session(folder, plan, speaker, [make(folder, plan) for make in (*watch, *tracking.watch)])
+            try:
+                session.train(trainer)
+                session.end()
+            finally:
+                session.write_results()
         runs.append(Run(folder.path))
         config, out = config.later(folder.path), folder.path / THEN
         resume = resume and out.exists()
@@ -196,13 +194,20 @@ def train_chunks(run: Path, numbers: Sequence[int]) -> None:
         Session(folder, plan, Reporter(), numbers=numbers).train(engine)
 
 
-def _open(place: Path, plan: Plan, resume: bool, given: bool) -> RunFolder:
-    """The run folder of a sweep. Where no place was given and another sweep takes it meanwhile: the next free one."""
+def open_folder(out: Path | str | None, plan: Plan, resume: bool, at_once: Sequence[int]) -> RunFolder:
+    """The run folder of a sweep, of which so many runs of each group train `at_once`. Where no place is given and
+    another sweep takes it meanwhile: the next free one.
+
+    Raises:
+      InputError: the place cannot be used, or its disk cannot hold the run.
+    """
+    place = Path(out or run_path(plan.config.name, resume))
+    check_disk(place, plan, at_once)
     while True:
         try:
             return (RunFolder.resume if resume else RunFolder.create)(place, plan.resolved())
         except InputError:
-            after = place if given or resume else fresh_path(plan.config.name)
+            after = place if out or resume else run_path(plan.config.name)
             if after == place:
                 raise
             place = after

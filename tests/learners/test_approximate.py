@@ -76,7 +76,7 @@ def test_learners_find_the_values_of_the_probes(kind, joints):
         task, obs, expected = probe(name, joints)
         learner = build(kind, task)
         training, progress = train(learner)
-        assert float(progress.share) == 1.0
+        assert float(progress[0]) == 1.0
         policy = learner.policy(training.carry)
         q = np.asarray(learner.q_values(policy.value, learner.preprocess(policy, jnp.asarray(obs))))
         # Q of equal choices of all joints is their mean. The probes are deterministic: the only error is that of

@@ -74,7 +74,7 @@ def train_to_end(learner, count=16):
     training = start(learner, keys)
     for _ in range(10_000):
         training, progress = chunk(learner, training, 1024)
-        if (np.asarray(progress.share) >= 1).all():
+        if (np.asarray(progress[0]) >= 1).all():
             return training
     raise AssertionError("training does not end")
 

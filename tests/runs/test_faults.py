@@ -112,7 +112,7 @@ def test_two_sweeps_that_choose_the_same_place_get_one_each(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     first = RunFolder.create(Path("runs/small"), resolved(parse(CONFIG)))
     places = iter([Path("runs/small"), Path("runs/small-2")])  # as if the first had come between
-    monkeypatch.setattr(module, "fresh_path", lambda name: next(places, Path("runs/small-2")))
+    monkeypatch.setattr(module, "run_path", lambda *_: next(places, Path("runs/small-2")))
     assert sweep(CONFIG).path == Path("runs/small-2")
     first.close()
 

@@ -15,7 +15,7 @@ from rich.console import Console
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.commands import runs
 from humanoid_mjx.config import parse
-from humanoid_mjx.runs.folder import RunFolder, fresh_path, latest_path
+from humanoid_mjx.runs.folder import RunFolder, run_path
 from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.plan import make_plan
@@ -58,14 +58,14 @@ def test_a_finished_run_and_its_best_point(folder):
 
 def test_names_of_run_folders_count_up(tmp_path):
     for name in ("joint1", "joint1-2", "joint1-3"):
-        assert fresh_path("joint1", tmp_path) == tmp_path / name
+        assert run_path("joint1", root=tmp_path) == tmp_path / name
         (tmp_path / name).mkdir()
-        assert latest_path("joint1", tmp_path) == tmp_path / name
+        assert run_path("joint1", True, tmp_path) == tmp_path / name
     (tmp_path / "joint1-2").rmdir()
-    assert fresh_path("joint1", tmp_path) == tmp_path / "joint1-4"
-    assert latest_path("joint1", tmp_path) == tmp_path / "joint1-3"
+    assert run_path("joint1", root=tmp_path) == tmp_path / "joint1-4"
+    assert run_path("joint1", True, tmp_path) == tmp_path / "joint1-3"
     with pytest.raises(InputError, match="joint4: there is no run to resume"):
-        latest_path("joint4", tmp_path)
+        run_path("joint4", True, tmp_path)
 
 
 def test_a_run_that_was_killed_says_how_far_it_is(folder):
