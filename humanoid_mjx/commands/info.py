@@ -187,7 +187,7 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
 def _show_time(plan: Plan) -> None:
     with Bar(console) as bar:
         bar.phase("compiling and training a piece of it")
-        parts, measured = estimate(plan, Here(plan).rooms)
+        parts, measured = estimate(plan)
     words = ", ".join(f"{time_in_words(seconds)} of {part}" for part, seconds in parts.items())
     each = f" in each of {measured} programs" if len(plan.groups) > 1 else ""
     how, total = f"by {MEASURED_S:g} s of its training{each}", time_in_words(sum(parts.values()))

@@ -121,9 +121,6 @@ class RunFolder:
         return whole_file(target)
 
 
-NUMBER = re.compile(r"^part-(\d+)\.npz$")
-
-
 def pool_name(key: str) -> str:
     """The file of the runs that are under way in some chunks."""
     return f"checkpoint/pool-{key}.npz"
@@ -136,7 +133,7 @@ def diverged_name(point: int, seed: int) -> str:
 
 def parts(path: Path) -> list[Path]:
     """The files of finished runs of a run folder."""
-    return sorted(part for part in (path / "checkpoint").glob("part-*.npz") if NUMBER.match(part.name))
+    return sorted(part for part in (path / "checkpoint").glob("part-*.npz") if re.fullmatch(r"part-\d+", part.stem))
 
 
 def pools(path: Path) -> list[Path]:
@@ -163,13 +160,11 @@ def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",), digest: str | Non
 REMOVE = "remove it, and --resume trains its runs again"
 """The cure of a damaged file of the checkpoint."""
 
-REWRITTEN = "--resume the run to write it again"
-"""The cure of a damaged table or provenance."""
 
-
-def damaged(path: Path, how: str = "is truncated or damaged", then: str = REMOVE) -> InputError:
-    """The error of a file of a run folder, by default of its checkpoint, that cannot be used."""
-    return InputError(f"{path}: this file {how}; {then}.")
+def damaged(path: Path, how: str = "is truncated or damaged") -> InputError:
+    """The error of a file of a run folder that cannot be used, with its cure: tables and provenance are made anew."""
+    made_anew = path.suffix in (".parquet", ".json")
+    return InputError(f"{path}: this file {how}; {'--resume the run to write it again' if made_anew else REMOVE}.")
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -229,9 +224,9 @@ def read_provenance(path: Path) -> dict[str, Any]:
     except PermissionError as error:
         raise InputError(f"{file}: cannot be read: {error.strerror}.") from error
     except (OSError, ValueError, RecursionError, LookupError, TypeError, AttributeError) as error:
-        raise damaged(file, then=REWRITTEN) from error
+        raise damaged(file) from error
     if "config" in found and (how := misplaced(found["config"], config_digest(read_config(path)))):
-        raise damaged(file, how, REWRITTEN)
+        raise damaged(file, how)
     return found
 
 

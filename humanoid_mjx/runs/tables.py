@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from jaxtyping import Int
 
 from humanoid_mjx.config import config_digest
 from humanoid_mjx.runs.archive import misplaced
-from humanoid_mjx.runs.folder import REWRITTEN, RunFolder, damaged, parts, read_arrays, read_config
+from humanoid_mjx.runs.folder import RunFolder, damaged, parts, read_arrays, read_config
 from humanoid_mjx.runs.statistics import mean_known
 from humanoid_mjx.spec import InputError
 
@@ -170,17 +169,14 @@ def opened(path: Path) -> pq.ParquetFile:
         file = pq.ParquetFile(path, page_checksum_verification=True)
         columns = set(file.schema_arrow.names)
     except (pa.ArrowException, OSError, ValueError) as error:  # names that are no text
-        raise _useless(path) from error
+        raise damaged(path) from error
     stored = (file.schema_arrow.metadata or {}).get(b"config")
     if how := misplaced(stored and stored.decode(errors="replace"), config_digest(read_config(path.parent))):
-        raise _useless(path, how)
+        raise damaged(path, how)
     fits = all(one & columns for one in NEEDED.get(path.stem, ()))
     if not (fits and file.metadata.num_rows) or (path.stem == "results" and "wall_s" in columns):
-        raise _useless(path, "is another one")
+        raise damaged(path, "is another one")
     return file
-
-
-_useless = partial(damaged, then=REWRITTEN)
 
 
 def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np.ndarray]:
@@ -194,7 +190,7 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np
             table = file.read(None if columns is None else list(columns))
             return {name: table[name].to_numpy() for name in table.column_names}
         except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-            raise _useless(path) from error
+            raise damaged(path) from error
 
 
 def column_names(path: Path) -> list[str]:

@@ -21,11 +21,10 @@ from humanoid_mjx import compute
 from humanoid_mjx.runs.folder import damaged
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.cost import runs_at_once, training_bytes
-from humanoid_mjx.training.pace import COMPILING
 from humanoid_mjx.training.plan import Plan
-from humanoid_mjx.training.pool import IDLE, Pool
+from humanoid_mjx.training.pool import COMPILING, IDLE, Pool
 from humanoid_mjx.training.programs import in_turn, placement
-from humanoid_mjx.training.warm_start import earlier_policies
+from humanoid_mjx.training.state import earlier_policies
 
 CHECKPOINT_EVERY_S = 30.0
 """Seconds of training that a kill may cost."""

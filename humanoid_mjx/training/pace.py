@@ -4,7 +4,6 @@ time that a sweep would take by a short piece of it."""
 import heapq
 import time
 from collections import deque
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -13,10 +12,10 @@ import numpy as np
 import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
-from humanoid_mjx.training.plan import Group, Plan
+from humanoid_mjx.training.chunks import Here
+from humanoid_mjx.training.plan import Plan
 from humanoid_mjx.training.pool import Pool
 from humanoid_mjx.training.programs import placement
-from humanoid_mjx.training.warm_start import earlier_policies
 
 LATELY_S, LATELY_SHARE = 5.0, 0.15
 """Time constant of the recent pace: the longer of these seconds and this share of the training so far."""
@@ -26,9 +25,6 @@ KNOWN_S = 0.5
 
 OVERRUN = 0.1
 """Time left that is shown after an estimate was exceeded, as a share of the excess."""
-
-COMPILING = ("tracing", "compiling")
-"""Phases in which training stands still."""
 
 PLAYED_OUT = 2000
 """Waiting runs whose slots are simulated; further ones are estimated by the mean."""
@@ -203,7 +199,7 @@ def _left(seconds: float) -> float:
     return seconds if seconds > 0 else -OVERRUN * seconds
 
 
-def estimate(plan: Plan, rooms: Mapping[int, int], measured_s: float = MEASURED_S) -> tuple[dict[str, float], int]:
+def estimate(plan: Plan, measured_s: float = MEASURED_S) -> tuple[dict[str, float], int]:
     """Train a piece of a sweep and say how long all of it would take.
 
     A sample of the runs trains side by side, as many as the sweep would train at once. Episodes of an early policy can
@@ -212,7 +208,6 @@ def estimate(plan: Plan, rooms: Mapping[int, int], measured_s: float = MEASURED_
 
     Args:
       plan: what is to be trained.
-      rooms: how many runs of each group the devices can train at once.
       measured_s: how long each program that is measured trains, s.
 
     Returns:
@@ -220,7 +215,8 @@ def estimate(plan: Plan, rooms: Mapping[int, int], measured_s: float = MEASURED_
       programs were measured.
     """
     chosen = np.unique(np.linspace(0, len(plan.groups) - 1, MOST_PROGRAMS).round().astype(int))
-    found = np.array([_measure(plan, plan.groups[index], rooms[index], measured_s) for index in chosen])
+    here = Here(plan)
+    found = np.array([_measure(here, int(index), measured_s) for index in chosen])
     runs = np.array([len(group.runs) for group in plan.groups])
     compiling, training, evaluating = found.sum(axis=0)
     more = runs.sum() / runs[chosen].sum()
@@ -228,13 +224,14 @@ def estimate(plan: Plan, rooms: Mapping[int, int], measured_s: float = MEASURED_
     return parts | ({"evaluating": evaluating * more} if evaluating else {}), len(chosen)
 
 
-def _measure(plan: Plan, group: Group, room: int, measured_s: float) -> tuple[float, float, float]:
+def _measure(here: Here, index: int, measured_s: float) -> tuple[float, float, float]:
     """The seconds of compiling, training and evaluating of a group; in mode halving by as many runs of the last rung as
     take the time of all."""
+    plan, group = here.plan, here.plan.groups[index]
     runs = np.random.default_rng(0).permutation(group.runs[-len(group.first_runs) :])
     waiting = deque(runs[: int(np.ceil(len(runs) * plan.work / len(plan.points)))].tolist())
-    size, devices = placement(group.learners, len(waiting), room)
-    pool = Pool(group, waiting, size, devices, plan.config.seed, earlier_policies(group))
+    size, devices = placement(group.learners, len(waiting), here.rooms[index])
+    pool = Pool(group, waiting, size, devices, plan.config.seed, here.policies[index])
     began = time.monotonic()
     pool.fill()
     pool.train()

@@ -41,6 +41,9 @@ HARVEST_AFTER_S = 10.0
 
 IDLE = -1
 
+COMPILING = ("tracing", "compiling")
+"""Phases in which training stands still."""
+
 CORES_OF_A_COMPILER = 4
 """Cores that XLA uses to compile a program. With no more cores than that, the program that ends a run is compiled only
 after the training steps, for which training waits."""

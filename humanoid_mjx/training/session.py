@@ -16,9 +16,9 @@ from humanoid_mjx.runs.tables import all_runs, run_numbers, scores, write_tables
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training import chunks
 from humanoid_mjx.training.curves import Curves
-from humanoid_mjx.training.pace import COMPILING, Look, Pace
+from humanoid_mjx.training.pace import Look, Pace
 from humanoid_mjx.training.plan import Plan
-from humanoid_mjx.training.pool import IDLE
+from humanoid_mjx.training.pool import COMPILING, IDLE
 from humanoid_mjx.training.program import SHOWN
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.progress import State as Shown

@@ -159,12 +159,12 @@ TABLES = CONFIG | {"name": "tables", "sweep": {"axes": {"task.states": [11, 13, 
 
 
 def test_a_sweep_of_several_programs(tmp_path, monkeypatch):
-    found = estimate(make_plan(parse(TABLES)), dict.fromkeys(range(4), 2), measured_s=0.0)
+    found = estimate(make_plan(parse(TABLES)), measured_s=0.0)
     assert found[1] == 3 and all(0 < seconds < np.inf for seconds in found[0].values())
 
     monkeypatch.setattr(pace, "MOST_PROGRAMS", 1)
-    monkeypatch.setattr(pace, "_measure", lambda plan, group, *_: (2.0, 10.0, 1.0))
-    assert estimate(make_plan(parse(TABLES)), dict.fromkeys(range(4), 2)) == (
+    monkeypatch.setattr(pace, "_measure", lambda *_: (2.0, 10.0, 1.0))
+    assert estimate(make_plan(parse(TABLES))) == (
         {"compiling (less once it is cached)": 8.0, "training": 40.0, "evaluating": 4.0},
         1,
     )
