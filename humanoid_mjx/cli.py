@@ -11,11 +11,11 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer import Argument, Option
 
+from humanoid_mjx.commands import CONFIGS, Override, Trust, trusting
 from humanoid_mjx.commands.bench import bench
 from humanoid_mjx.commands.evaluate import evaluate
 from humanoid_mjx.commands.export import export
 from humanoid_mjx.commands.film import demo, play
-from humanoid_mjx.commands.options import CONFIGS, Override, Trust, trusting
 from humanoid_mjx.commands.reproduce import reproduce
 from humanoid_mjx.commands.runs import plot, report, runs
 

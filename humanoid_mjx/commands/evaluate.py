@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.table import Column, Table
 from typer import Argument, Option
 
-from humanoid_mjx.commands import console, start_for
-from humanoid_mjx.commands.options import POLICIES, Physics, Point, Trust, Unmodified, World, trusting
+from humanoid_mjx.commands import POLICIES, Physics, Point, Trust, Unmodified, World, console, start_for, trusting
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:

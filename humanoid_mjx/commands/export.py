@@ -5,8 +5,7 @@ from typing import Annotated
 
 from typer import Argument
 
-from humanoid_mjx.commands import console
-from humanoid_mjx.commands.options import Point, Trust, trusting
+from humanoid_mjx.commands import Point, Trust, console, trusting
 
 
 def export(

@@ -8,8 +8,7 @@ from typing import Annotated
 
 from typer import Option
 
-from humanoid_mjx.commands import console, start_for
-from humanoid_mjx.commands.options import Physics, Point, Policy, Trust, Unmodified, World, trusting
+from humanoid_mjx.commands import Physics, Point, Policy, Trust, Unmodified, World, console, start_for, trusting
 from humanoid_mjx.training.progress import Bar
 
 

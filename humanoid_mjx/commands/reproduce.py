@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from humanoid_mjx.commands import console
-from humanoid_mjx.commands.options import Override
+from humanoid_mjx.commands import Override, console
 
 if TYPE_CHECKING:
     from humanoid_mjx.reproduction import Experiment, Finding

@@ -12,8 +12,7 @@ from rich.measure import Measurement
 from rich.table import Column, Table
 from typer import Argument, Option
 
-from humanoid_mjx.commands import console
-from humanoid_mjx.commands.options import Trust, trusting
+from humanoid_mjx.commands import Trust, console, trusting
 from humanoid_mjx.training.progress import Bar
 
 if TYPE_CHECKING:

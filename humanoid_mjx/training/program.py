@@ -195,7 +195,7 @@ def progress_of(learner: Learner, training: Training) -> Progress:
     recent = jnp.abs(place - jnp.floor(share * learner.record)) <= max(1, learner.record // 20)
     episodes = jnp.sum(columns["episodes"] * recent)
     mean = {name: jnp.sum(columns[name] * recent) / episodes for name in SHOWN if name in columns}
-    return share, jnp.stack([mean.get(name, jnp.float32(jnp.nan)) for name in SHOWN])
+    return share, jnp.stack([mean[name] if name in mean else jnp.float32(jnp.nan) for name in SHOWN])
 
 
 def _finite(tree: Any) -> BoolScalar:

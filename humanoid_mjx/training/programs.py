@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import lru_cache, partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -32,68 +32,54 @@ RUNS = "runs"
 """The axis of a mesh of devices over which runs are shared out."""
 
 
-class Programs(NamedTuple):
+class Programs:
     """Compiled functions over runs side by side; every array has a leading axis of runs, shared out over the devices.
 
     Each device computes its runs by itself: the program is compiled once, and none waits for another within it. Where
     the mesh has several devices along `ENVS`, these have the same runs, and share the environments in training.
     """
 
-    begin: Callable[..., Training]
-    """(fresh, learners, seeds, training states, policies) -> training states, new where `fresh` is true."""
-    advance: Callable[[Any, Training, IntScalar], tuple[Training, Progress]]
-    """(learners, training states, steps) -> states so many steps later, and progress. Gives up the old states."""
-    finish: Callable[[Any, Training, Any], dict[str, Any]]
-    """(learners, training states, seeds) -> curves, final scores and policies."""
-    by_run: NamedSharding | SingleDeviceSharding
-    """Sharding of arrays with a leading axis of runs."""
-    everywhere: NamedSharding | SingleDeviceSharding
-    """Sharding of arrays that every device has whole."""
-    options: str
-    """Key of the programs: everything that they depend on beside their arguments."""
-    compiled: "dict[Any, Future[Callable[..., Any]]]"
-    """Compiled programs, also those under way, by name and kind of arguments: a second sweep in a process does not
-    trace them."""
+    def __init__(self, options: tuple[tuple[str, str | bool], ...], mesh: Mesh, by_kernel: bool = False):
+        """The programs of all learners with these compiler options on the devices of `mesh`.
+
+        `seeds` is (the config's seed, the seed number). `by_kernel`: let a kernel make the steps, if one can.
+        """
+        by_run, same = PartitionSpec(RUNS), PartitionSpec()
+
+        def anew(fresh: Bool[Array, ""], learner: Learner, seeds: Any, old: Training, policy: Any) -> Training:
+            new = begin(learner, run_key(*seeds), policy)
+            return jax.tree.map(partial(jnp.where, fresh), new, old)
+
+        def end(learner: Learner, last: Training, seeds: Any) -> dict[str, Any]:
+            return finish(learner, last, jax.random.fold_in(run_key(*seeds), 1))
+
+        def further(learner: Learner, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
+            learner = learner.replace(devices=mesh.shape[ENVS]) if mesh.shape[ENVS] > 1 else learner
+            new = (TRAIN if by_kernel else train)(learner, old, steps)
+            return new, progress_of(learner, new)
+
+        def compiled(function: Callable[..., Any], given: Any, **options_of_jit: Any) -> Callable[..., Any]:
+            spread = _shared_out(function, mesh, given) if mesh.size > 1 else function
+            # By default jax replicates arrays without entries, and a compiled program then refuses the states that
+            # another one has made.
+            return jax.jit(spread, compiler_options=dict(options), out_shardings=self.by_run, **options_of_jit)
+
+        self.by_run, self.everywhere = _sharding(mesh, by_run), _sharding(mesh, same)
+        """Shardings of arrays with a leading axis of runs, and of those that every device has whole."""
+        self.begin = compiled(jax.vmap(anew), by_run, donate_argnums=3)
+        """(fresh, learners, seeds, training states, policies) -> training states, new where `fresh` is true."""
+        self.advance = compiled(jax.vmap(further, in_axes=(0, 0, None)), (by_run, by_run, same), donate_argnums=1)
+        """(learners, training states, steps) -> states so many steps later, and progress. Gives up the old states."""
+        self.finish = compiled(jax.vmap(end), by_run)
+        """(learners, training states, seeds) -> curves, final scores and policies."""
+        self.options = f"{options} {mesh.device_ids.tolist()} {by_kernel}"
+        """Key of the programs: everything that they depend on beside their arguments."""
+        self.compiled: dict[Any, Future[Callable[..., Any]]] = {}
+        """Compiled programs, also those under way, by name and kind of arguments: a second sweep in a process does not
+        trace them."""
 
 
-@lru_cache
-def programs(options: tuple[tuple[str, str | bool], ...], mesh: Mesh, by_kernel: bool = False) -> Programs:
-    """The programs of all learners with these compiler options on the devices of `mesh`.
-
-    `seeds` is (the config's seed, the seed number). `by_kernel`: let a kernel make the steps, if one can.
-    """
-    by_run, same = PartitionSpec(RUNS), PartitionSpec()
-    shardings = _sharding(mesh, by_run), _sharding(mesh, same)
-
-    def anew(fresh: Bool[Array, ""], learner: Learner, seeds: Any, old: Training, policy: Any) -> Training:
-        new = begin(learner, run_key(*seeds), policy)
-        return jax.tree.map(partial(jnp.where, fresh), new, old)
-
-    def end(learner: Learner, last: Training, seeds: Any) -> dict[str, Any]:
-        return finish(learner, last, jax.random.fold_in(run_key(*seeds), 1))
-
-    def compiled(function: Callable[..., Any], given: Any, **options_of_jit: Any) -> Callable[..., Any]:
-        spread = function
-        if mesh.size > 1:
-            spread = _shared_out(function, mesh, given)
-        # By default jax replicates arrays without entries, and a compiled program then refuses the states that another
-        # one has made.
-        return jax.jit(spread, compiler_options=dict(options), out_shardings=shardings[0], **options_of_jit)
-
-    def further(learner: Learner, old: Training, steps: IntScalar) -> tuple[Training, Progress]:
-        learner = learner.replace(devices=mesh.shape[ENVS]) if mesh.shape[ENVS] > 1 else learner
-        new = (TRAIN if by_kernel else train)(learner, old, steps)
-        return new, progress_of(learner, new)
-
-    return Programs(
-        begin=compiled(jax.vmap(anew), by_run, donate_argnums=3),
-        advance=compiled(jax.vmap(further, in_axes=(0, 0, None)), (by_run, by_run, same), donate_argnums=1),
-        finish=compiled(jax.vmap(end), by_run),
-        by_run=shardings[0],
-        everywhere=shardings[1],
-        options=f"{options} {mesh.device_ids.tolist()} {by_kernel}",
-        compiled={},
-    )
+programs = lru_cache(Programs)
 
 
 def _shared_out(function: Callable[..., Any], mesh: Mesh, given: Any) -> Callable[..., Any]:

@@ -150,9 +150,9 @@ def sweep(
     elif not isinstance(config, Config):
         raise InputError(f"sweep: config must be a config, its name or path, or a mapping of its keys, got {config!r}.")
     check_later(config)  # before anything trains
-    runs: list[Run] = []
-    while config:
-        plan = make_plan(config.alone)
+    runs, part = list[Run](), config
+    while part:
+        plan = make_plan(part.alone)
         with (
             closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,
             nullcontext(reporter or Reporter()) if reporter or quiet else reporting() as speaker,
@@ -166,7 +166,7 @@ def sweep(
             finally:
                 session.write_results()
         runs.append(Run(folder.path))
-        config, out = config.later(folder.path), folder.path / THEN
+        part, out = part.later(folder.path), folder.path / THEN
         resume = resume and out.exists()
     return runs[0]
 
