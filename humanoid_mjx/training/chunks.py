@@ -274,7 +274,6 @@ class Work:
             except (LookupError, TypeError, ValueError) as error:
                 raise damaged(Path(where), "does not fit this training") from error
         saved = looked = time.monotonic()
-        pool.prepare()
         pool.fill()
         while pool.busy.any():
             if self.stopped.is_set() or time.monotonic() - saved > self.every_s:
@@ -287,8 +286,7 @@ class Work:
                 looked = time.monotonic()
                 self._look(pool, self.watched)
             if not self.stopped.is_set() and (harvest := pool.harvest()):
-                self._events.put(Finished(*harvest, dict(pool.diverged)))
-                pool.diverged.clear()
+                self._events.put(Finished(*harvest))
                 over = set(harvest[0].tolist())
                 self.left = [run for run in self.left if run not in over]
                 pool.fill()

@@ -74,8 +74,6 @@ class Pool:
         self.wall_s = np.full((size, group.learners.record), np.nan, np.float32)
         """Seconds from the beginning of training to each record point of each slot's run, pauses left out."""
         self.steps = 1
-        self.diverged: dict[int, dict[str, np.ndarray]] = {}
-        """The last training states of harvested runs whose numbers were no longer finite, by run."""
         self._load()
         self.training = jax.device_put(blank(group.one_run, size), self.over_devices)
 
@@ -84,12 +82,10 @@ class Pool:
         """Mask of the slots that hold a run."""
         return self.slots != IDLE
 
-    def prepare(self) -> None:
-        """Begin to compile the training steps, which takes longest, beside what `fill` compiles."""
-        with_fallback(lambda: self._program("advance", *self._steps_taken()), self._renew)()
-
     def fill(self) -> None:
         """Give the idle slots the runs that wait."""
+        if not self.compiled:  # what takes longest is compiled beside what is compiled here
+            with_fallback(lambda: self._program("advance", *self._given("advance")), self._renew)()
         # Other threads read these: clear a finished run's values before its slot holds another run.
         self.progress = np.where(self.busy, self.progress, 0.0)
         self.recent = np.where(self.busy[:, None], self.recent, np.nan)
@@ -107,9 +103,9 @@ class Pool:
 
     def train(self) -> None:
         """Let every run train for about `CHUNK_S`."""
-        given = self._steps_taken()
+        given = self._given("advance")
         if "advance" not in self.compiled:  # what ends the runs is compiled while they train
-            self._program("finish", *self._ended(), after=self._program("advance", *given))
+            self._program("finish", *self._given("finish"), after=self._program("advance", *given))
         began = time.monotonic()
         self.training, progress = self._call("advance", *given)
         self.progress, self.recent = map(np.asarray, progress)
@@ -118,11 +114,12 @@ class Pool:
         factor = CHUNK_S / max(time.monotonic() - began, 1e-6)
         self.steps = int(np.clip(self.steps * np.clip(factor, 0.25, 4.0), 1, MAX_STEPS))
 
-    def harvest(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+    def harvest(self) -> tuple[np.ndarray, dict[str, np.ndarray], dict[int, dict[str, np.ndarray]]] | None:
         """Take out the runs that are over, if it is worthwhile.
 
         Returns:
-          the runs, and their curves, final scores and policies by name, every array with a leading axis of runs.
+          the runs; their curves, final scores and policies by name, every array with a leading axis of runs; and by
+          run the last training states of those whose numbers were no longer finite.
         """
         over = self.busy & (self.progress >= 1.0)
         waited = time.monotonic() - self.harvested > HARVEST_AFTER_S
@@ -132,19 +129,16 @@ class Pool:
         arrays = {f"curve.{name}": array for name, array in results["curve"].items()}
         arrays |= {f"final.{name}": array for name, array in results["final"].items()}
         arrays |= to_arrays(results["policy"], "policy") | {"time.wall_s": self.wall_s}
-        runs = self.slots[over]
-        diverged = over & arrays["final.diverged"]
-        if diverged.any():
-            states = to_arrays(self.training, "training")
-            for slot in np.flatnonzero(diverged):
-                self.diverged[int(self.slots[slot])] = {name: array[slot] for name, array in states.items()}
+        runs, stopped = self.slots[over], np.flatnonzero(over & arrays["final.diverged"]).tolist()
+        states = to_arrays(self.training, "training") if stopped else {}
+        diverged = {int(self.slots[slot]): {name: array[slot] for name, array in states.items()} for slot in stopped}
         self.slots[over] = IDLE
         self.harvested = time.monotonic()
-        return runs, {name: array[over] for name, array in arrays.items()}
+        return runs, {name: array[over] for name, array in arrays.items()}, diverged
 
     def finish(self) -> dict[str, Any]:
         """Curves, final scores and policies of what the slots hold."""
-        return self._call("finish", *self._ended())
+        return self._call("finish", *self._given("finish"))
 
     def curves(self, slots: np.ndarray, most: int) -> dict[str, np.ndarray]:
         """The learning curves so far of some of the slots, at most `most`, by name: each (slots, record).
@@ -187,13 +181,10 @@ class Pool:
         self._load()
         self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.over_devices)
 
-    def _steps_taken(self) -> tuple[Any, ...]:
-        """Return the arguments of `advance`."""
-        return self.learners, self.training, jax.device_put(np.int32(self.steps), self.programs.everywhere)
-
-    def _ended(self) -> tuple[Any, ...]:
-        """Return the arguments of `finish`."""
-        return self.learners, self.training, self.seeds
+    def _given(self, name: str) -> tuple[Any, ...]:
+        """Return the arguments of `advance` or `finish`."""
+        steps = jax.device_put(np.int32(self.steps), self.programs.everywhere)
+        return self.learners, self.training, steps if name == "advance" else self.seeds
 
     def _call(self, name: str, *args: Any) -> Any:
         """Call a program of `programs`, compiled by the time that it is first needed; wait for its result."""
