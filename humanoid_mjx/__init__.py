@@ -10,14 +10,14 @@ if TYPE_CHECKING:  # redundant names: what a type checker takes as exported
     from humanoid_mjx import control as control
     from humanoid_mjx.api import Policy as Policy
     from humanoid_mjx.api import Trained as Trained
+    from humanoid_mjx.api import draw as draw
+    from humanoid_mjx.api import evaluate as evaluate
     from humanoid_mjx.api import load_policy as load_policy
+    from humanoid_mjx.api import load_run as load_run
+    from humanoid_mjx.api import play as play
+    from humanoid_mjx.api import plot as plot
     from humanoid_mjx.api import rollout as rollout
     from humanoid_mjx.api import train as train
-    from humanoid_mjx.commands.notebook import draw as draw
-    from humanoid_mjx.commands.notebook import evaluate as evaluate
-    from humanoid_mjx.commands.notebook import load_run as load_run
-    from humanoid_mjx.commands.notebook import play as play
-    from humanoid_mjx.commands.notebook import plot as plot
     from humanoid_mjx.compute import start as start
     from humanoid_mjx.compute.rng import key as key
     from humanoid_mjx.control.laws import Law as Law
@@ -47,8 +47,7 @@ if TYPE_CHECKING:  # redundant names: what a type checker takes as exported
 __version__ = "0.3.0"
 
 _NAMES = {
-    "api": "Policy Trained load_policy rollout train",
-    "commands.notebook": "draw evaluate load_run play plot",
+    "api": "Policy Trained draw evaluate load_policy load_run play plot rollout train",
     "compute": "start",
     "compute.rng": "key",
     "control.laws": "Law",

@@ -1,15 +1,19 @@
-"""Training and policies as functions of JAX: pure, without a folder, and to be mapped by `jax.vmap`.
+"""Functions for programs and notebooks.
+
+Training and policies are functions of JAX: pure, without a folder, and to be mapped by `jax.vmap`.
 
     learner = make_learner("tabular_q", make_task("joint_reach"), episodes=500)
     trained = jax.vmap(lambda epsilon: train(learner.replace(epsilon=epsilon), key(0)))(jnp.linspace(0.05, 0.95, 10))
 
 `humanoid_mjx.sweep` trains the same by the same steps; it adds checkpoints, several devices, GPU kernels and tables.
+Other functions read a run, evaluate, plot and play it, and a notebook displays their results. `humanoid_mjx.start()`
+sets up the process as the commands do.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar, overload
+from typing import Any, Generic, NamedTuple, TypeVar, overload
 
 import jax
 import jax.numpy as jnp
@@ -19,17 +23,23 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.compute.rng import check_key
-from humanoid_mjx.evaluation.policy import check_single, find_policy, save_policy, with_config
+from humanoid_mjx.evaluation import policy as policies
+from humanoid_mjx.evaluation.policy import StoredPolicy
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners import rollout as rollouts
 from humanoid_mjx.learners.approximate import ApproximateQ, Weights
 from humanoid_mjx.learners.rollout import Episode
 from humanoid_mjx.learners.tabular import TabularQ
-from humanoid_mjx.spec import InputError, shown
+from humanoid_mjx.report.web import MEDIA, data_address
+from humanoid_mjx.runs.folder import read_config
+from humanoid_mjx.runs.statistics import Evaluation
+from humanoid_mjx.spec import InputError, check_folder, shown
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
 from humanoid_mjx.training import program
+from humanoid_mjx.training.progress import Reporter, reporting
+from humanoid_mjx.training.sweep import Run
 
 W_co = TypeVar("W_co", covariant=True)
 
@@ -56,7 +66,7 @@ class Policy(Generic[W_co]):
           `task.step` or `task.step_continuous` takes. `task.flat_action` makes choices the action of a `FiniteTask`.
         """
         check_key("policy(obs, key)", key)
-        check_single(self.learner)
+        policies.check_single(self.learner)
         if isinstance(obs, State):
             raise InputError("policy: this is a state; write policy(policy.observation(state), key).")
         return _act(self, obs, key)
@@ -65,7 +75,7 @@ class Policy(Generic[W_co]):
         """Return what the policy observes in a state of `task`: `state.obs`, or the row of a table, int ()."""
         if not isinstance(state, State):  # as those of a FiniteTask are
             raise InputError(f"policy.observation: take a state of policy.task.reset or .step, got {shown(state)}.")
-        check_single(self.learner)
+        policies.check_single(self.learner)
         return self.learner.observation(state)
 
     def save(self, path: Path | str) -> None:
@@ -78,7 +88,7 @@ class Policy(Generic[W_co]):
             raise InputError(
                 "policy.save: a class of the program itself cannot be found again; import it from a module."
             )
-        save_policy(with_config(self.learner, self.weights), Path(path))
+        policies.save_policy(policies.with_config(self.learner, self.weights), Path(path))
 
     def __repr__(self) -> str:
         axes = "".join(f"{size:,} x " for size in np.shape(self.learner.budget))
@@ -238,5 +248,152 @@ def load_policy(name: Path | str, point: int | None = None) -> Policy[object]:
     Raises:
       InputError: there is no such policy, or its file cannot be read.
     """
-    trained = find_policy(name, point)
+    trained = policies.find_policy(name, point)
     return Policy(trained.learner, trained.policy)
+
+
+class Picture(NamedTuple):
+    """A figure or film on disk, which a notebook displays."""
+
+    path: Path
+    words: str
+    """Sentences about what it shows."""
+
+    def _repr_html_(self) -> str:
+        data = data_address(self.path.read_bytes(), MEDIA[self.path.suffix])
+        if MEDIA[self.path.suffix].startswith("video"):
+            return f'<video src="{data}" autoplay loop muted></video><p>{self.words}</p>'
+        return f'<img src="{data}" style="max-width: 100%"><p>{self.words}</p>'
+
+
+def load_run(path: Path | str) -> Run:
+    """Return the run in a folder that a sweep has written.
+
+    Raises:
+      InputError: this is no run folder.
+    """
+    read_config(_folder(path))
+    return Run(_folder(path))
+
+
+def draw(run: Run | Path | str) -> list[Picture]:
+    """Draw the figures that the command `sweep` draws into the run's `figures/`: learning curves, and swept values.
+
+    Raises:
+      InputError: this is no run folder.
+    """
+    from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
+
+    run = load_run(_folder(run))
+    return [Picture(path, "") for path in draw_run(run, run.summary)[1]]
+
+
+def evaluate(
+    what: Run | StoredPolicy | Policy | Trained | Path | str,
+    *,
+    point: int | None = None,
+    episodes: int = 1024,
+    physics: str | None = None,
+    overrides: Sequence[str] = (),
+) -> dict[str, Evaluation]:
+    """Evaluate a policy on held-out episodes.
+
+    Args:
+      what: a run or its folder, a policy file, the name of a shipped policy, or what `train` returns.
+      point: the point of a run's sweep; by default the best.
+      episodes: how many each agent plays.
+      physics: another physics than that of training, such as `mujoco`.
+      overrides: changes of the task, such as "task.friction=0.5".
+
+    Returns:
+      the evaluations of the `greedy` policy and of the `zero` and the `random` agent.
+
+    Raises:
+      InputError: there is no such policy, or it cannot be used so.
+    """
+    from humanoid_mjx.evaluation.evaluate import evaluate_all
+
+    return {each.agent: each for each in evaluate_all([_policy(what, point, physics, overrides)], episodes)}
+
+
+def plot(
+    *runs: Run | Path | str, x: str | None = None, y: str = "success", by: str | None = None, out: Path | None = None
+) -> Picture:
+    """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds.
+
+    Args:
+      runs: runs or their folders.
+      x: the column across; by default the episodes or steps trained.
+      y: the column upwards; `learned` draws the table of the best run instead.
+      by: the column that has a line for each value; `run` for each run. By default what is swept, if that is one.
+      out: a .png; by default in the figures of the first run.
+
+    Raises:
+      InputError: no run, or a column that is not there or cannot be drawn.
+    """
+    from humanoid_mjx.report import plotting
+
+    path, notes = plotting.plot([_folder(run) for run in runs], x, y, by, out)
+    return Picture(path, " ".join(notes))
+
+
+def play(
+    what: Run | StoredPolicy | Policy | Trained | Path | str,
+    *,
+    point: int | None = None,
+    episode: int = 0,
+    physics: str | None = None,
+    overrides: Sequence[str] = (),
+    out: Path | str | None = None,
+) -> Picture:
+    """Write a film of a held-out episode.
+
+    Args:
+      what, point, overrides: as `evaluate` takes them.
+      episode: its number.
+      physics: by default native MuJoCo where the task can, as the command's.
+      out: a .gif, .mp4, .webm or .png; by default `figures/play.gif` of the run, or `NAME.gif`.
+
+    Raises:
+      InputError: there is no such policy, or its task moves no robot.
+    """
+    with reporting() as reporter:
+        return film(what, reporter, point, episode, physics, overrides, out)
+
+
+def film(
+    what: Run | StoredPolicy | Policy | Trained | Path | str,
+    reporter: Reporter,
+    point: int | None,
+    episode: int,
+    physics: str | None,
+    overrides: Sequence[str],
+    out: Path | str | None,
+    **look: Any,
+) -> Picture:
+    """Write a film as `play` does; `look` is the rate and the size of its pictures, as `render_film` takes them."""
+    from humanoid_mjx.evaluation.film import show
+    from humanoid_mjx.report.rendering import render_film
+
+    trained = _policy(what, point, physics, overrides)
+    trained = trained if physics else policies.on_native(trained)
+    (shown, outcome), target = show(trained, reporter, episode), Path(out or f"{trained.name}.gif")
+    if out is None and isinstance(what, (Run, Path, str)) and _folder(what).is_dir():
+        target = _folder(what) / "figures" / "play.gif"
+        target.parent.mkdir(exist_ok=True)
+        check_folder(target)
+    reporter.phase("rendering")
+    render_film(shown, target, tell=reporter.count, **look)
+    return Picture(target, outcome)
+
+
+def _policy(what: Any, point: int | None, physics: str | None, overrides: Sequence[str]) -> StoredPolicy:
+    what = what.policy if isinstance(what, Trained) else what.path if isinstance(what, Run) else what
+    if isinstance(what, Policy):
+        what = policies.with_config(what.learner, what.weights)
+    found = what if isinstance(what, StoredPolicy) else policies.find_policy(what, point, overrides)
+    return policies.in_world(found, physics, overrides)
+
+
+def _folder(what: object) -> Path:
+    return what.path if isinstance(what, Run) else Path(str(what))

@@ -52,7 +52,7 @@ def play(
             _show(policy, point, set_, physics, episode, robots, port)
         return
     _start(physics, set_)
-    from humanoid_mjx.commands.notebook import film
+    from humanoid_mjx.api import film
     from humanoid_mjx.report.rendering import FPS, check_file
 
     if out is not None:

@@ -28,7 +28,7 @@ from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.training.chunks import Here
 from humanoid_mjx.training.cost import disk_bytes, training_bytes
 from humanoid_mjx.training.pace import MEASURED_S, estimate, time_in_words
-from humanoid_mjx.training.plan import Plan, make_plan
+from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import why_no_kernel
 from humanoid_mjx.training.progress import Bar, counted
 
@@ -178,13 +178,9 @@ def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     for reason, count in points.items():
         which = f"{counted(count, 'point')} " if len(points) > 1 else ""
         console.print(which + ("trained by a kernel" if reason is None else f"not trained by a kernel: {reason}"))
-    if timed:
-        _show_time(plan)
-    else:
+    if not timed:
         console.print(f"how long it takes here: humanoid-mjx info {config} --time measures a piece of it")
-
-
-def _show_time(plan: Plan) -> None:
+        return
     with Bar(console) as bar:
         bar.phase("compiling and training a piece of it")
         parts, measured = estimate(plan)

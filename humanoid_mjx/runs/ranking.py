@@ -77,7 +77,7 @@ def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: boo
     whole, end = over_seeds(f"whole_{measure}"), over_seeds(measure)
     costs = (greedy_steps, whole, end) if quickest else (-greedy_return, -whole, -end)
     ranks = np.nan_to_num(np.stack([-np.round(success, 3), *costs], axis=1), nan=np.inf, posinf=np.inf, neginf=np.inf)
-    values = zip(*(summary[axis][order[starts]] for axis in axes), strict=True) if axes else repeat(())
+    values = zip(*(summary[axis][order[starts]].tolist() for axis in axes), strict=True) if axes else repeat(())
     means = (column.tolist() for column in (success, greedy_return, greedy_steps, whole))
     found = map(Ranked, points.tolist(), values, *means, map(tuple, ranks.tolist()))
     return sorted(found, key=lambda point: point.rank)

@@ -110,8 +110,7 @@ class OnRay(Engine):
         Raises:
           InputError: ray is not installed, or the cluster cannot be reached.
         """
-        self.plan, self.ray = plan, _ray(address)
-        _connect(self.ray, address)
+        self.plan, self.ray = plan, _cluster(address)
         self.config = plan.resolved()
         self.resource = "GPU" if self.ray.cluster_resources().get("GPU") else "CPU"
         self.at_once = [min(len(group.first_runs), plan.chunk * max(self._room(), 1)) for group in plan.groups]
@@ -245,7 +244,17 @@ class OnRay(Engine):
                     desk.take(event)
 
 
-def _connect(ray: Any, address: str) -> None:
+def _cluster(address: str) -> Any:
+    """Return the package ray, connected to a cluster. It reads its settings when it is imported.
+
+    Raises:
+      InputError: it is not installed, or the cluster cannot be reached.
+    """
+    for name, value in SETTINGS.items() if address == LOCAL else ():
+        os.environ.setdefault(name, value)
+    ray = package("ray", "ray", "--ray")
+    with suppress(AttributeError):  # it prints a paragraph on each worker that is lost
+        ray._private.worker.print_to_stdstream = lambda *_, **__: None
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR, "configure_logging": False}
     if address == LOCAL:
         options |= {"num_cpus": compute.cores(), "include_dashboard": False}
@@ -262,17 +271,4 @@ def _connect(ray: Any, address: str) -> None:
         ray.init(**{"address": address} | options)
     except Exception as error:  # ray raises a dozen kinds, of many lines
         raise InputError(f"--ray {address}: {' '.join(str(error).split())[:300]}") from error
-
-
-def _ray(address: str) -> Any:
-    """Return the package ray, which reads its settings when it is imported.
-
-    Raises:
-      InputError: it is not installed.
-    """
-    for name, value in SETTINGS.items() if address == LOCAL else ():
-        os.environ.setdefault(name, value)
-    ray = package("ray", "ray", "--ray")
-    with suppress(AttributeError):  # it prints a paragraph on each worker that is lost
-        ray._private.worker.print_to_stdstream = lambda *_, **__: None
     return ray

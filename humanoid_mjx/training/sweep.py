@@ -68,14 +68,12 @@ class Run:
         those that got furthest."""
         config, summary = self.config, self.summary
         axes = list(config.sweep.axes) if config.sweep else []
-        found = []
-        for each in ranked(axes, summary, quickest=config.episodes is not None):
-            values = (value.item() if isinstance(value, np.generic) else value for value in each.values)
-            scores = {f"greedy_{name}": getattr(each, f"greedy_{name}") for name in ("return", "steps")}
-            found.append(
-                dict(zip(axes, values, strict=True)) | {"point": each.point, "greedy_success": each.success} | scores
-            )
-        return found
+        return [
+            dict(zip(axes, each.values, strict=True))
+            | {"point": each.point, "greedy_success": each.success}
+            | {"greedy_return": each.greedy_return, "greedy_steps": each.greedy_steps}
+            for each in ranked(axes, summary, quickest=config.episodes is not None)
+        ]
 
     def __str__(self) -> str:
         config, shown = self.config, [f"{self.path}: {_words(self.config)}"]
