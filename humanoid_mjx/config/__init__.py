@@ -4,7 +4,7 @@ import hashlib
 import json
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -107,9 +107,8 @@ class Config(pydantic.BaseModel):
         for part in ("task", "learner"):
             if "name" not in getattr(self, part):
                 raise ValueError(f"{part}.name is required")
-            for place, name in _names(getattr(self, part), part):
-                if not isinstance(name, str):
-                    raise ValueError(f"{place} must be a string, got {shown(name)}")
+            if not isinstance(name := getattr(self, part)["name"], str):
+                raise ValueError(f"{part}.name must be a string, got {shown(name)}")
         for key in TOP_LEVEL:
             if key in self.learner:
                 raise ValueError(f"learner.{key}: unknown key; {key} stands at the top level")
@@ -126,15 +125,6 @@ class Config(pydantic.BaseModel):
             if axis.split(".")[0] == "learner" and (key := axis.split(".")[1]) in TOP_LEVEL:
                 raise ValueError(f"sweep.axes.{axis}: {key} stands at the top level and cannot be swept there")
         return self
-
-
-def _names(values: dict[str, Any], place: str) -> Iterator[tuple[str, Any]]:
-    """Yield every `name` in a part of a config, with its dotted key."""
-    for key, value in values.items():
-        if key == "name":
-            yield f"{place}.name", value
-        elif isinstance(value, dict):
-            yield from _names(value, f"{place}.{key}")
 
 
 def _changed(data: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
