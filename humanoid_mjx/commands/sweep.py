@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import jax
 import typer
@@ -16,12 +16,12 @@ from humanoid_mjx.commands import console
 from humanoid_mjx.compute import kept
 from humanoid_mjx.config import Config, load
 from humanoid_mjx.runs.folder import read_provenance
+from humanoid_mjx.runs.ranking import BEST_POINTS, best_table, in_words, ranked, rungs_in_words
 from humanoid_mjx.spec import InputError
+from humanoid_mjx.training.chunks import EngineOf
 from humanoid_mjx.training.progress import Bar
-
-if TYPE_CHECKING:
-    from humanoid_mjx.report.growing import Growing
-    from humanoid_mjx.training.chunks import EngineOf
+from humanoid_mjx.training.sweep import THEN, check_later, sweep
+from humanoid_mjx.training.trackers import Tracking
 
 RATES = ("episodes", "steps")
 
@@ -37,7 +37,7 @@ def run_sweep(
     trackers: Sequence[str],
     view: bool = False,
     ray: str | None = None,
-    engine: "EngineOf | None" = None,
+    engine: EngineOf | None = None,
 ) -> None:
     """`humanoid-mjx sweep`.
 
@@ -50,11 +50,7 @@ def run_sweep(
 
         engine = partial(OnRay, address=ray)
     compute.start(mjx="mjx-jax" in loaded.physics)
-    from humanoid_mjx.training.sweep import THEN, check_later, sweep
-    from humanoid_mjx.training.trackers import Tracking
-
     check_later(loaded)
-
     with (
         kept.keeping(),
         Bar(console, DRAWING_S) as bar,
@@ -70,7 +66,6 @@ def run_sweep(
         bar.phase("drawing figures")
         from humanoid_mjx.evaluation.replay import why_stopped
         from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
-        from humanoid_mjx.runs.ranking import BEST_POINTS, best_table, in_words, ranked, rungs_in_words
 
         summary, quickest = run.summary, run.config.episodes is not None
         learning, paths = draw_run(run, summary)
@@ -102,7 +97,7 @@ def run_sweep(
         run_sweep(later, place, (), resume and place.exists(), trackers, view, ray, engine)
 
 
-def _growing(bar: Bar) -> "Growing":
+def _growing(bar: Bar) -> Any:
     from humanoid_mjx.report.growing import Growing
 
     return Growing(bar)

@@ -237,10 +237,8 @@ class Work:
         size = self.size
         while self.left and not self.stopped.is_set():
             slots, mib = size * len(self.devices), training_bytes(self.group) / 2**20
-            self._note(
-                f"{min(slots, self.together):,} of {self.together:,} runs train side by side, in an estimated "
-                f"{slots * mib:,.0f} MiB"
-            )
+            many = f"{min(slots, self.together):,} of {self.together:,} runs"
+            self._events.put(Note(f"{many} train side by side, in an estimated {slots * mib:,.0f} MiB"))
             try:
                 self._side_by_side(size)
             except Exception as error:
@@ -256,13 +254,11 @@ class Work:
                         f"the memory does not suffice for {size} networks side by side, and with fewer they learn "
                         f"other bits; begin anew with --set chunk={size // 2}."
                     ) from error
-                self._note(f"the memory does not suffice for {slots:,} runs side by side; half as many go on")
+                less = f"the memory does not suffice for {slots:,} runs side by side; half as many go on"
+                self._events.put(Note(less))
             self.pool = None
             gc.collect()  # the arrays of a pool that failed; its error's frames held them
             size //= 2
-
-    def _note(self, text: str) -> None:
-        self._events.put(Note(text))
 
     def _side_by_side(self, size: int) -> None:
         waiting = deque(self.left)

@@ -11,7 +11,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -52,12 +52,6 @@ SETTINGS = {
 """Environment of a cluster of this machine."""
 
 
-class Refused(NamedTuple):
-    """A sentence on a chunk that cannot be trained, wherever it is tried."""
-
-    text: str
-
-
 class Worker:
     """The process that trains, one chunk after another."""
 
@@ -78,8 +72,9 @@ class Worker:
         """Return the machine and process, and the versions of what computes."""
         return f"{socket.gethostname()}:{os.getpid()}", compute.versions()
 
-    def train(self, chunk: Chunk, given: Given, every_s: float, look_s: float) -> Iterator[Event | Refused]:
-        """Yield what the training of a chunk gives: its state each `every_s` seconds, its progress each `look_s`."""
+    def train(self, chunk: Chunk, given: Given, every_s: float, look_s: float) -> Iterator[Event | str]:
+        """Yield what the training of a chunk gives: its state each `every_s` seconds, its progress each `look_s`. Where
+        it cannot be trained, wherever it is tried, a sentence says so."""
         try:
             self.plan = self.plan or make_plan(self.config)
             if chunk.group not in self.engines:
@@ -92,9 +87,9 @@ class Worker:
                 if work.stopped.is_set():
                     return
         except InputError as error:
-            yield Refused(str(error))
+            yield str(error)
         except Exception as error:
-            yield Refused(f"{in_words(error)}.")
+            yield f"{in_words(error)}."
 
     def stop(self) -> list[Event]:
         """Stop the training under way; return what it has to give."""
@@ -222,8 +217,8 @@ class OnRay(Engine):
             desk.take(UnderWay(key_of([chunk]), chunk.group, "starting", *nothing))
             return name, chunk, type(error).__name__
         else:
-            if isinstance(event, Refused):
-                raise InputError(f"chunk {chunk.number}, worker {name}: {event.text}")
+            if isinstance(event, str):
+                raise InputError(f"chunk {chunk.number}, worker {name}: {event}")
             desk.take(event)
         return None
 

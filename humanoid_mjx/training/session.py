@@ -66,8 +66,8 @@ class Session:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
         self.scores = np.zeros((most // plan.config.seeds, 3))
         """Of each point the number of runs that this session has finished, and the sums of their success and return."""
-        self.rung, self.before, self.pace = 0, 0, Pace(most, len(plan.groups))
-        """The present rung, the number of runs of the rungs before, and the pace of its runs."""
+        self.rung, self.pace = 0, Pace(most, len(plan.groups))
+        """The present rung, and the pace of its runs."""
         self.rungs = 1 if numbers is not None else len(plan.rungs)
         """The number of rungs that train, from the present one on."""
         self.chosen = chunks.chunks(plan)
@@ -127,7 +127,6 @@ class Session:
                 f"{self.folder.path}: {missing:,} of {due:,} runs of rung {self.rung + 1} are not finished, and their "
                 "results decide which points train next; the same command with resume=True trains them."
             )
-        self.before += due
         self.rung, self.pace = self.rung + 1, Pace(len(self.scores) * plan.config.seeds, len(plan.groups))
         rung = plan.rungs[self.rung]
         best = ranked((), {"point": arrays["point"]} | scores(arrays), plan.config.episodes is not None)[: rung.points]
@@ -214,8 +213,9 @@ class Session:
     def _report(self) -> None:
         looks = list(self.under_way.values())
         slots, progress, recent = (np.concatenate([look[place] for look in looks]) for place in (3, 4, 5))
-        busy, finished, rung = slots != IDLE, len(self.finished) - self.before, self.plan.rungs[self.rung]
-        due = rung.points * self.plan.config.seeds
+        busy, rung, seeds = slots != IDLE, self.plan.rungs[self.rung], self.plan.config.seeds
+        due = rung.points * seeds
+        finished = len(self.finished) - sum(before.points for before in self.plan.rungs[: self.rung]) * seeds
         rows = busy & np.isfinite(recent).all(axis=1)
         success, mean_return = self._best(slots[rows], np.minimum(progress[rows], 1.0), recent[rows])
         steps = float(recent[rows, 2].mean()) if rows.any() else None
