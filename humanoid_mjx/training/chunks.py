@@ -22,7 +22,7 @@ from humanoid_mjx.runs.folder import damaged
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.cost import runs_at_once, training_bytes
 from humanoid_mjx.training.plan import Plan
-from humanoid_mjx.training.pool import COMPILING, IDLE, Pool
+from humanoid_mjx.training.pool import COMPILING, Pool
 from humanoid_mjx.training.programs import in_turn, placement
 from humanoid_mjx.training.state import earlier_policies
 
@@ -280,7 +280,7 @@ class Work:
             pool.train()
             if self.watched is not None and time.monotonic() - looked >= CURVES_EVERY_S:
                 looked = time.monotonic()
-                self._look(pool, self.watched)
+                self._events.put(Growth(*pool.curves(self.watched)))
             if not self.stopped.is_set() and (harvest := pool.harvest()):
                 self._events.put(Finished(*harvest))
                 over = set(harvest[0].tolist())
@@ -291,14 +291,6 @@ class Work:
         arrays = {"group": np.array(self.index)} | pool.state()
         self.states = [(self.key, arrays)]
         self._events.put(State(self.key, arrays))
-
-    def _look(self, pool: Pool, watched: np.ndarray) -> None:
-        """Give the curves of the runs under way that are followed."""
-        seeds = self.plan.config.seeds
-        rows = np.flatnonzero((pool.slots != IDLE) & np.isin(pool.slots // seeds, watched))
-        if len(rows):
-            curves = pool.curves(rows, len(watched) * seeds)
-            self._events.put(Growth(pool.slots[rows], pool.progress[rows], curves))
 
 
 def _compiles(pool: Pool | None) -> bool:

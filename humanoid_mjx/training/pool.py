@@ -140,14 +140,17 @@ class Pool:
         """Curves, final scores and policies of what the slots hold."""
         return self._call("finish", *self._given("finish"))
 
-    def curves(self, slots: np.ndarray, most: int) -> dict[str, np.ndarray]:
-        """The learning curves so far of some of the slots, at most `most`, by name: each (slots, record).
+    def curves(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """The runs under way of some points, the progress of each, and their learning curves so far by name, each
+        (runs, record).
 
-        What is recorded at a point is complete once a run's progress is beyond it.
+        What is recorded at a point of a curve is complete once a run's progress is beyond it.
         """
-        size = min(most, len(self.slots))  # of one size, so that it compiles once
-        rows = jnp.asarray(np.resize(slots, size))
-        return {name: np.asarray(x)[: len(slots)] for name, x in _curves(self.learners, self.training, rows).items()}
+        slots = np.flatnonzero(self.busy & np.isin(self.slots // self.group.seeds, points))
+        size = min(len(points) * self.group.seeds, len(self.slots))  # the same each time, so that it compiles once
+        curves = _curves(self.learners, self.training, jnp.asarray(np.resize(slots, size)))
+        curves = {name: np.asarray(curve)[: len(slots)] for name, curve in curves.items()}
+        return self.slots[slots], self.progress[slots], curves
 
     def state(self) -> dict[str, np.ndarray]:
         """All that `restore` needs."""
