@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from humanoid_mjx.config import config_digest, dump_yaml, parse, parse_yaml
-from humanoid_mjx.files import lock, meant, read_text, refuse_pipe, refusing, whole_file
+from humanoid_mjx.files import lock, meant, read_text, refuse_pipe, refusing, whole_file, write_text
 from humanoid_mjx.runs.archive import misplaced, read_archive
 from humanoid_mjx.spec import InputError
 
@@ -65,7 +65,7 @@ class RunFolder:
             if not _only_begun(path):  # another process was quicker
                 raise InputError(f"{path}: is in use by another process; choose another place with out=PATH.")
             with refusing(path):
-                run.write_text("config.yaml", dump_yaml(dict(config)))
+                write_text(path / "config.yaml", dump_yaml(dict(config)))
         except BaseException:
             run.close()
             raise
@@ -99,14 +99,9 @@ class RunFolder:
         """Let other programs write to the folder."""
         os.close(self._lock)
 
-    def write_text(self, name: str, text: str) -> None:
-        """Write a text file, as a whole or not at all."""
-        with self.writing(name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-
     def write_json(self, name: str, data: dict[str, Any]) -> None:
         """Write plain values, and a checksum of them, as JSON, as a whole or not at all."""
-        self.write_text(name, json.dumps(data | {"checksum": _checksum(data)}, indent=2) + "\n")
+        write_text(self.path / name, json.dumps(data | {"checksum": _checksum(data)}, indent=2) + "\n")
 
     def write_arrays(self, name: str, arrays: Arrays) -> None:
         """Write a checkpoint file: numpy arrays and the digest of the config, as a whole or not at all."""

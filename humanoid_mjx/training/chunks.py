@@ -265,8 +265,7 @@ class Work:
         self.pool = pool = Pool(self.group, waiting, size, self.devices, self.plan.config.seed, self.policies)
         for where, arrays in self.states:
             try:
-                if int(arrays["group"]) == self.index:
-                    pool.restore(arrays, where)
+                pool.restore(arrays, where)
             except (LookupError, TypeError, ValueError) as error:
                 raise damaged(Path(where), "does not fit this training") from error
         saved = looked = time.monotonic()
@@ -288,9 +287,8 @@ class Work:
                 pool.fill()
 
     def _keep(self, pool: Pool) -> None:
-        arrays = {"group": np.array(self.index)} | pool.state()
-        self.states = [(self.key, arrays)]
-        self._events.put(State(self.key, arrays))
+        self.states = [(self.key, pool.state())]
+        self._events.put(State(*self.states[0]))
 
 
 def _compiles(pool: Pool | None) -> bool:

@@ -65,7 +65,9 @@ def train(learner: Learner, training: Training, steps: IntScalar) -> Training:
 
     def step(_: IntScalar, inner: tuple[Any, Array]) -> tuple[Any, Array]:
         carry, outcome = _train_step(learner, inner[0])
-        point, values = record_entry(learner, outcome)
+        place = jnp.asarray(outcome.done, jnp.float32) * (learner.record / learner.budget)
+        point = jnp.minimum(place.astype(jnp.int32), learner.record - 1)
+        values = [jnp.asarray(value, jnp.float32) for value in _recorded(outcome).values()]
         return carry, add_at(inner[1], point, jnp.stack(values, axis=-1))
 
     def lap(_: IntScalar, old: Training) -> Training:
@@ -154,10 +156,15 @@ def _train_step(learner: Learner, carry: Any) -> tuple[Any, Outcome]:
     return learner.train_step(carry)
 
 
+def _recorded(outcome: Outcome) -> dict[str, Any]:
+    """What a step adds to the columns of `Training.record`, by their names."""
+    squares = {"updates": 1.0, **dict(sorted(outcome.squares.items()))} if outcome.squares else {}
+    return {"episodes": outcome.episodes, **dict(sorted(outcome.totals.items())), **squares}
+
+
 def measures(learner: Learner, carry: Any) -> tuple[str, ...]:
     """Return the columns of `Training.record`."""
-    _, outcome = jax.eval_shape(_train_step, learner, carry)
-    return ("episodes", *sorted(outcome.totals), *(("updates", *sorted(outcome.squares)) if outcome.squares else ()))
+    return tuple(_recorded(jax.eval_shape(_train_step, learner, carry)[1]))
 
 
 def curve(learner: Learner, training: Training) -> dict[str, Float[Array, " record"]]:
@@ -175,16 +182,6 @@ def curve(learner: Learner, training: Training) -> dict[str, Float[Array, " reco
 def run_key(seed: jax.Array, number: jax.Array) -> jax.Array:
     """The key of a run: of the config's seed and the run's number alone, so that a point trains as it would alone."""
     return jax.random.fold_in(rng.key(seed), number)
-
-
-def record_entry(learner: Learner, outcome: Outcome) -> tuple[Array, list[Array]]:
-    """The point of the record that a step belongs to, and what it adds there in the order of `measures`."""
-    place = jnp.asarray(outcome.done, jnp.float32) * (learner.record / learner.budget)
-    point = jnp.minimum(place.astype(jnp.int32), learner.record - 1)
-    values = [outcome.episodes, *(outcome.totals[name] for name in sorted(outcome.totals))]
-    if outcome.squares:
-        values += [jnp.float32(1), *(outcome.squares[name] for name in sorted(outcome.squares))]
-    return point, [jnp.asarray(value, jnp.float32) for value in values]
 
 
 def progress_of(learner: Learner, training: Training) -> Progress:

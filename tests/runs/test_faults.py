@@ -97,9 +97,10 @@ def test_what_a_kill_leaves_before_the_config_is_no_obstacle(tmp_path):
 def test_a_run_folder_that_is_gone_is_not_made_anew(tmp_path):
     run = RunFolder.create(tmp_path / "run", {"name": "x"})
     run.path.rename(tmp_path / "gone")
-    for name in ("provenance.json", "checkpoint/part-00000.npz"):
-        with pytest.raises(FileNotFoundError):
-            run.write_text(name, "")
+    with pytest.raises(FileNotFoundError):
+        run.write_json("provenance.json", {})
+    with pytest.raises(FileNotFoundError):
+        run.write_arrays("checkpoint/part-00000.npz", {})
     with pytest.raises(FileNotFoundError), figure(run.path / "figures" / "curves.png", 1, 1):
         pass
     assert not run.path.exists()
