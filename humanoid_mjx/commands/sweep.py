@@ -1,7 +1,7 @@
 """The command `sweep`."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
@@ -16,12 +16,8 @@ from humanoid_mjx.commands import console
 from humanoid_mjx.compute import kept
 from humanoid_mjx.config import Config, load
 from humanoid_mjx.runs.folder import read_provenance
-from humanoid_mjx.runs.ranking import BEST_POINTS, best_table, in_words, ranked, rungs_in_words
 from humanoid_mjx.spec import InputError
-from humanoid_mjx.training.chunks import EngineOf
 from humanoid_mjx.training.progress import Bar
-from humanoid_mjx.training.sweep import THEN, check_later, sweep
-from humanoid_mjx.training.trackers import Tracking
 
 RATES = ("episodes", "steps")
 
@@ -37,11 +33,11 @@ def run_sweep(
     trackers: Sequence[str],
     view: bool = False,
     ray: str | None = None,
-    engine: EngineOf | None = None,
+    engine: Callable[..., Any] | None = None,
 ) -> None:
     """`humanoid-mjx sweep`.
 
-    `ray`: the address of a Ray cluster. `engine`: another way to train; by default this process does.
+    `ray`: the address of a Ray cluster. `engine`: another way to train (`chunks.EngineOf`) than by this process.
     """
     loaded = config if isinstance(config, Config) else load(config, overrides)
     if ray:
@@ -50,6 +46,9 @@ def run_sweep(
 
         engine = partial(OnRay, address=ray)
     compute.start(mjx="mjx-jax" in loaded.physics)
+    from humanoid_mjx.training.sweep import THEN, check_later, sweep  # once a config is there: half a second
+    from humanoid_mjx.training.trackers import Tracking
+
     check_later(loaded)
     with (
         kept.keeping(),
@@ -66,6 +65,7 @@ def run_sweep(
         bar.phase("drawing figures")
         from humanoid_mjx.evaluation.replay import why_stopped
         from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
+        from humanoid_mjx.runs.ranking import BEST_POINTS, best_table, in_words, ranked, rungs_in_words
 
         summary, quickest = run.summary, run.config.episodes is not None
         learning, paths = draw_run(run, summary)

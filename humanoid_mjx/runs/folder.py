@@ -131,10 +131,11 @@ def parts(path: Path) -> list[Path]:
     return sorted(part for part in (path / "checkpoint").glob("part-*.npz") if re.fullmatch(r"part-\d+", part.stem))
 
 
-def pools(path: Path) -> list[Path]:
-    """The files of the runs that a run folder has under way, the newest first."""
-    files = [(file, os.stat(file).st_mtime) for file in (path / "checkpoint").glob("pool-*.npz") if file.exists()]
-    return [file for file, _ in sorted(files, key=lambda each: each[1], reverse=True)]
+def pools(path: Path, first: float = -math.inf, last: float = math.inf) -> list[Path]:
+    """The files of the runs that a run folder has under way, the newest first; of some chunks by their numbers."""
+    files = [(os.stat(file).st_mtime, file) for file in (path / "checkpoint").glob("pool-*.npz") if file.exists()]
+    names = {file: re.fullmatch(r"pool-(\d+)-(\d+)", file.stem) for _, file in sorted(files, reverse=True)}
+    return [file for file, name in names.items() if not name or (int(name[1]) <= last and int(name[2]) >= first)]
 
 
 def read_arrays(path: Path, prefixes: tuple[str, ...] = ("",), digest: str | None = None) -> dict[str, np.ndarray]:

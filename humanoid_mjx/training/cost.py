@@ -146,5 +146,4 @@ def finished_bytes(group: Group) -> int:
     if group.learners.evaluations > 1:
         names += len(SHOWN)  # of greedy episodes
     curves = (names + 1) * group.learners.record * np.dtype(np.float32).itemsize  # and the time of each point
-    policy = jax.eval_shape(type(group.learners).policy, group.one_learner, group.one_run.carry)
-    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(policy)) + 2 * curves
+    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(group.policy)) + 2 * curves

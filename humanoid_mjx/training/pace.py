@@ -177,8 +177,7 @@ class Pace:
         if not speed:
             return {}
         # Where several episodes feed one table its episodes are counted once for all of them.
-        together = np.mean([getattr(learner, "agents", 1) for learner in plan.learners])
-        speed *= float(together)
+        speed *= float(np.mean([getattr(learner, "agents", 1) for learner in plan.learners]))
         lengths = np.zeros(0)  # steps of an episode at each record point of each run in which one ended
         if not plan.learners[0].cumulative:
             with suppress(KeyError, FileNotFoundError):  # no lengths, or no run that has ended

@@ -60,7 +60,6 @@ class Pool:
         self.group, self.waiting, self.seed, self.policies = group, waiting, seed, policies
         self.programs, self.rows = programs_of(group.learners, devices), devices
         size *= len(devices)
-        self.over_devices = self.programs.by_run
         self.compiled: dict[str, Callable[..., Any]] = {}
         self.phase = "starting"
         """The present phase, in a word for the user."""
@@ -75,7 +74,7 @@ class Pool:
         """Seconds from the beginning of training to each record point of each slot's run, pauses left out."""
         self.steps = 1
         self._load()
-        self.training = jax.device_put(blank(group.one_run, size), self.over_devices)
+        self.training = jax.device_put(blank(group.one_run, size), self.programs.by_run)
 
     @property
     def busy(self) -> np.ndarray:
@@ -96,7 +95,7 @@ class Pool:
             self._load()
             rows = np.searchsorted(self.group.runs, np.maximum(self.slots, self.group.runs[0]))
             policies = self._put(self.policies, rows)
-            mask = jax.device_put(fresh, self.over_devices)
+            mask = jax.device_put(fresh, self.programs.by_run)
             self.training = self._call("begin", mask, self.learners, self.seeds, self.training, policies)
             self.wall_s[fresh] = np.nan
             self.fresh = np.zeros(len(self.slots), bool)
@@ -182,7 +181,7 @@ class Pool:
         for run in self.slots[idle].tolist():
             self.waiting.remove(run)
         self._load()
-        self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.over_devices)
+        self.training = jax.device_put(from_arrays(self.training, merged, "training", where), self.programs.by_run)
 
     def _given(self, name: str) -> tuple[Any, ...]:
         """Return the arguments of `advance` or `finish`."""
@@ -248,10 +247,10 @@ class Pool:
         rows = np.searchsorted(self.group.points, points)
         self.learners: Learner = self._put(self.group.learners, rows)
         seeds = np.full(len(rows), self.seed, np.uint32), numbers.astype(np.uint32)
-        self.seeds = jax.device_put(seeds, self.over_devices)
+        self.seeds = jax.device_put(seeds, self.programs.by_run)
 
     def _put(self, tree: Any, rows: np.ndarray) -> Any:
-        return jax.tree.map(lambda leaf: jax.device_put(leaf[rows], self.over_devices), tree)
+        return jax.tree.map(lambda leaf: jax.device_put(leaf[rows], self.programs.by_run), tree)
 
 
 def _shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:

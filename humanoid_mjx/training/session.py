@@ -35,19 +35,11 @@ REPORT_EVERY_S = 0.1
 class Session:
     """The work on a run folder: what engines give, stored and shown (`chunks.Desk`)."""
 
-    def __init__(
-        self,
-        folder: run_folder.RunFolder,
-        plan: Plan,
-        reporter: Reporter,
-        watchers: Sequence[Curves] = (),
-        numbers: Sequence[int] | None = None,
-    ):
-        """Look at what is stored. `numbers`: those of the chunks of a rung that are to be trained; by default all of
-        all rungs.
+    def __init__(self, folder: run_folder.RunFolder, plan: Plan, reporter: Reporter, watchers: Sequence[Curves] = ()):
+        """Look at what is stored.
 
         Raises:
-          InputError: what is stored is damaged, or the rung before is not finished.
+          InputError: it is damaged.
         """
         self.folder, self.plan, self.reporter, self.watchers = folder, plan, reporter, watchers
         self.watched = max((watcher.points for watcher in watchers), key=len, default=None)
@@ -68,26 +60,7 @@ class Session:
         """Of each point the number of runs that this session has finished, and the sums of their success and return."""
         self.rung, self.pace = 0, Pace(most, len(plan.groups))
         """The present rung, and the pace of its runs."""
-        self.rungs = 1 if numbers is not None else len(plan.rungs)
-        """The number of rungs that train, from the present one on."""
-        self.chosen = chunks.chunks(plan)
-        if numbers is not None:
-            while self.rung < min(numbers, default=0) // plan.num_runs:
-                self.chosen = chunks.chunks(plan, self._go_on())
-            self.chosen = [chunk for chunk in self.chosen if chunk.number in numbers]
-        mine = range(most) if numbers is None else (run for chunk in self.chosen for run in chunk.runs)
-        waiting = set(mine) - self.finished
-        self.interrupted: list[tuple[str, chunks.Arrays]] = []
-        """The runs that an earlier session, perhaps of another engine, had under way, by their file."""
-        for path in run_folder.pools(folder.path):
-            try:
-                self.interrupted.append((str(path), _only(waiting, run_folder.read_arrays(path, digest=folder.digest))))
-            except InputError:
-                if path.exists():  # else of another job of an array, which is done
-                    raise
         self.under_way: dict[str, chunks.UnderWay] = {}
-        self.stored: set[str] = set()
-        """Keys of the states that this session has stored."""
         self.machines: set[str] = set()
         self.reported = 0.0
         self.earlier = {}
@@ -101,16 +74,17 @@ class Session:
         self.best: tuple[float, float] | None = None
         self.tables_are_old = True
 
-    def train(self, engine: chunks.Engine) -> None:
-        """Let an engine train what is not finished.
+    def train(self, engine: chunks.Engine, numbers: Sequence[int] | None = None) -> None:
+        """Let an engine train what is not finished. `numbers`: those of some chunks of a rung; by default all of all.
 
         Raises:
-          InputError: it cannot train some of it.
+          InputError: it cannot train some of it, or the rung before is not finished.
         """
-        if self.chosen:
-            engine.train(self.chosen, self)
-        for _ in range(1, self.rungs):
-            engine.train(chunks.chunks(self.plan, self._go_on()), self)
+        last = len(self.plan.rungs) - 1 if numbers is None else min(numbers, default=0) // self.plan.num_runs
+        for rung in range(last + 1):
+            every = chunks.chunks(self.plan, self._go_on() if rung else None)
+            if chosen := [chunk for chunk in every if numbers is None or chunk.number in numbers]:
+                engine.train(chosen, self)
 
     def _go_on(self) -> np.ndarray:
         """Begin the next rung; its points, as in `Group.points`: the best of the rung before, which is stored.
@@ -151,11 +125,15 @@ class Session:
             path.unlink()
 
     def given(self, chosen: Sequence[chunks.Chunk]) -> chunks.Given:
-        runs = {run for chunk in chosen for run in chunk.runs}
-        path = self.folder.path / run_folder.pool_name(key := chunks.key_of(chosen))
-        newer = [(str(path), run_folder.read_arrays(path, digest=self.folder.digest))] if key in self.stored else []
-        states = [(where, _only(runs, arrays)) for where, arrays in newer + self.interrupted]
-        states = [(where, arrays) for where, arrays in states if len(arrays.get("slots", " "))]
+        runs, states = {run for chunk in chosen for run in chunk.runs}, list[tuple[str, chunks.Arrays]]()
+        # Of this session or an earlier one, perhaps of another engine.
+        for path in run_folder.pools(self.folder.path, chosen[0].number, chosen[-1].number):
+            try:
+                arrays = _only(runs - self.finished, run_folder.read_arrays(path, digest=self.folder.digest))
+                states += [(str(path), arrays)] if len(arrays.get("slots", " ")) else []
+            except InputError:
+                if path.exists():  # else of another job of an array, which is done
+                    raise
         return chunks.Given(self.finished & runs, self.watched, states)
 
     def take(self, event: chunks.Event) -> None:
@@ -172,7 +150,6 @@ class Session:
                     watcher.grow(event.runs, event.progress, event.curves)
             case chunks.State():
                 self.folder.write_arrays(run_folder.pool_name(event.key), event.arrays)
-                self.stored.add(event.key)
             case chunks.Finished():
                 self._store(event)
             case chunks.Note():
@@ -181,7 +158,6 @@ class Session:
                 self.under_way.pop(event.key, None)
                 self.compile_s += event.compile_s
                 self.tables_are_old = True
-                self.stored.discard(event.key)
                 (self.folder.path / run_folder.pool_name(event.key)).unlink(missing_ok=True)
 
     def _store(self, event: chunks.Finished) -> None:

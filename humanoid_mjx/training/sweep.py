@@ -189,7 +189,7 @@ def train_chunks(run: Path, numbers: Sequence[int]) -> None:
     plan = make_plan(Run(run).config)
     engine = Here(plan)
     with closing(RunFolder.resume(run, plan.resolved(), shared=True)) as folder:
-        Session(folder, plan, Reporter(), numbers=numbers).train(engine)
+        Session(folder, plan, Reporter()).train(engine, numbers)
 
 
 def open_folder(out: Path | str | None, plan: Plan, resume: bool, at_once: Sequence[int]) -> RunFolder:

@@ -98,21 +98,19 @@ class _Means(Curves):
         points = {_name(digits, n, plan.points[n]): plan.points[n] for n in chosen_points(plan, MAX_POINTS).tolist()}
         tracking.start(folder.path, plan.resolved(), points)
         self.tracking, self.names = tracking, list(points)
-        self.told: dict[tuple[str, int], int] = {}
-        """Number of record points of each measure and point that trackers know."""
         super().__init__(folder, plan, MAX_POINTS)
 
     def _take(self, points: np.ndarray, seeds: np.ndarray, known: np.ndarray, curves: dict[str, np.ndarray]) -> None:
+        told = {name: each.known.min(axis=1) for name, each in self.measures.items()}
         super()._take(points, seeds, known, curves)
         for point in np.unique(points).tolist():
+            since = {name: int(told[name][point]) if name in told else 0 for name in curves}
             upto = {name: int(self.measures[name].known[point].min()) for name in curves}
-            since = {name: self.told.get((name, point), 0) for name in curves}
             for place in range(min(since.values()), max(upto.values())):
                 new = [name for name in curves if since[name] <= place < upto[name]]
                 means = {name: float(self.measures[name].curves[point, :, place].mean()) for name in new}
                 if means := {name: mean for name, mean in means.items() if np.isfinite(mean)}:
                     self.tracking.tell("on_record", self.names[point], int(self.places[place]), means)
-            self.told |= {(name, point): max(since[name], upto[name]) for name in curves}
 
 
 def _name(digits: int, number: int, values: dict[str, Any]) -> str:
