@@ -116,11 +116,6 @@ class RunFolder:
         return whole_file(target)
 
 
-def pool_name(key: str) -> str:
-    """The file of the runs that are under way in some chunks."""
-    return f"checkpoint/pool-{key}.npz"
-
-
 def diverged_name(point: int, seed: int) -> str:
     """The file of the last training state of a run whose numbers were no longer finite."""
     return f"checkpoint/diverged-{point}-{seed}.npz"

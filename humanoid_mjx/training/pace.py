@@ -83,8 +83,8 @@ class Pace:
         """The same of all runs together."""
         self._first_compiled_s = self._ready = 0.0
         """Seconds of compiling before the first training, and when what evaluates will be compiled."""
-        self._evaluated, self._per_run_s = (0.0, 0), None
-        """Seconds of evaluating and runs finished at the last end of an evaluation; seconds that a run took by then."""
+        self._evaluated = 0.0, 0
+        """Seconds of evaluating, and runs finished since the first look, at the last end of an evaluation."""
 
     def look(self, time_s: float, look: Look) -> None:
         """Take note of what trains at `time_s`, s, of any clock."""
@@ -108,9 +108,8 @@ class Pace:
             self._ready = time_s + self.compiled_s  # what evaluates takes about as long, beside training
         elif look.phase == "evaluating" and self._ready:
             self._ready, self._first_compiled_s = 0.0, self.compiled_s
-        if look.finished > max(self._evaluated[1], self._began[1]):
-            self._evaluated, self._ready = (self.evaluated_s, look.finished), 0.0
-            self._per_run_s = self.evaluated_s / (look.finished - self._began[1])
+        if (ended := look.finished - self._began[1]) > self._evaluated[1]:
+            self._evaluated, self._ready = (self.evaluated_s, ended), 0.0
 
     def _train(self, before: Look, look: Look, passed: float, done: float) -> None:
         """Note the progress of some seconds of training."""
@@ -129,11 +128,6 @@ class Pace:
         self._whole[look.slots[known]] = seconds[known] / moved[known]
 
     @property
-    def mean(self) -> float:
-        """Runs a second of training in this process; 0 where training was over at the first look."""
-        return (self.done - self._began[0]) / self.trained_s if self.trained_s else 0.0
-
-    @property
     def recent(self) -> float:
         """Runs a second of late, evaluations left out; 0 where that is not known yet."""
         done, seconds = self._late_in_all
@@ -150,13 +144,10 @@ class Pace:
         training = max(self._training_s(seen, look), _left(self._ready - self._now) if self._ready else 0.0)
         more = self.programs > 1 and look.waiting > 0
         compiling = _left(self.programs * self._first_compiled_s - self.compiled_s) if more else 0.0
-        left = look.waiting + int((look.slots >= 0).sum())
-        if self._per_run_s is None:
-            expected = float(seen.mean()) * look.evaluation * -(-left // len(look.slots))
-        else:
-            expected = self._per_run_s * left
-        spent = self.evaluated_s - self._evaluated[0]
-        return training + compiling + (_left(expected - spent) if left else 0.0)
+        left, (seconds, ended) = look.waiting + int((look.slots >= 0).sum()), self._evaluated
+        expected = float(seen.mean()) * look.evaluation * -(-left // len(look.slots))
+        expected = seconds / ended * left if ended else expected
+        return training + compiling + (_left(expected - (self.evaluated_s - seconds)) if left else 0.0)
 
     def _training_s(self, seen: Float[np.ndarray, " seen"], look: Look) -> float:
         """Seconds of training left, by runs seen so far: the waiting ones are like them, and begin in the order in
@@ -173,9 +164,9 @@ class Pace:
     def rates(self, plan: Plan, folder: Path) -> dict[str, float]:
         """`steps_per_s` and `episodes_per_s`, by the length of all episodes of training in the tables of `folder`;
         neither where training was over at the first look, and no steps where lengths are not recorded."""
-        speed = self.mean * plan.budget
-        if not speed:
+        if not (self.trained_s and self.done > self._began[0]):
             return {}
+        speed = (self.done - self._began[0]) / self.trained_s * plan.budget
         # Where several episodes feed one table its episodes are counted once for all of them.
         speed *= float(np.mean([getattr(learner, "agents", 1) for learner in plan.learners]))
         lengths = np.zeros(0)  # steps of an episode at each record point of each run in which one ended

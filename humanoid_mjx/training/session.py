@@ -149,7 +149,7 @@ class Session:
                 for watcher in self.watchers:
                     watcher.grow(event.runs, event.progress, event.curves)
             case chunks.State():
-                self.folder.write_arrays(run_folder.pool_name(event.key), event.arrays)
+                self.folder.write_arrays(f"checkpoint/pool-{event.key}.npz", event.arrays)
             case chunks.Finished():
                 self._store(event)
             case chunks.Note():
@@ -158,7 +158,7 @@ class Session:
                 self.under_way.pop(event.key, None)
                 self.compile_s += event.compile_s
                 self.tables_are_old = True
-                (self.folder.path / run_folder.pool_name(event.key)).unlink(missing_ok=True)
+                (self.folder.path / f"checkpoint/pool-{event.key}.npz").unlink(missing_ok=True)
 
     def _store(self, event: chunks.Finished) -> None:
         new = np.array([run not in self.finished for run in event.runs.tolist()])
