@@ -18,7 +18,7 @@ from humanoid_mjx.compute import kept
 from humanoid_mjx.config import load, parse_yaml
 from humanoid_mjx.runs.tables import all_runs, run_numbers
 from humanoid_mjx.spec import InputError, package
-from humanoid_mjx.training.chunks import Chunk, Desk, Engine, chunks
+from humanoid_mjx.training.chunks import Engine, chunks
 from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import counted
 from humanoid_mjx.training.sweep import open_folder, train_chunks
@@ -53,7 +53,7 @@ class Job:
             time.sleep(0.1)
         config = self.run / "config.yaml"
         if not self.numbers:
-            run_sweep(str(config), self.run, [], True, self.trackers, engine=Others)
+            run_sweep(str(config), self.run, [], True, self.trackers, engine=Engine)
             return
         compute.start(mjx="mjx-jax" in load(config).physics)
         with kept.keeping():
@@ -62,17 +62,6 @@ class Job:
     def checkpoint(self) -> Any:
         """The job that Slurm begins anew after a time limit or preemption: the same, which goes on."""
         return package("submitit", "slurm", "--slurm").helpers.DelayedSubmission(self)
-
-
-class Others(Engine):
-    """The engine of a sweep whose runs others have trained."""
-
-    def __init__(self, plan: Plan):
-        """Train nothing."""
-        self.at_once = [0] * len(plan.groups)
-
-    def train(self, chosen: Sequence[Chunk], desk: Desk) -> None:
-        """All that could be trained is."""
 
 
 def submit_sweep(
@@ -92,7 +81,7 @@ def submit_sweep(
     if loaded.then:
         raise InputError(f"{config}: then: --slurm trains one part; train a config without it, and then start_from.")
     plan = make_plan(loaded)
-    folder = open_folder(out, plan, resume, Others(plan).at_once)
+    folder = open_folder(out, plan, resume, Engine(plan).at_once)
     place = folder.path
     try:
         jobs, last = _submit(submitit, parameters, plan, place, trackers)

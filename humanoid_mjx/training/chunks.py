@@ -148,10 +148,11 @@ class Desk(Protocol):
 
 
 class Engine:
-    """A way to train chunks."""
+    """Base of the ways to train chunks. This one leaves all to others, such as jobs that have ended."""
 
-    at_once: list[int]
-    """The most runs of each group that train at once."""
+    def __init__(self, plan: Plan):
+        self.at_once = [0] * len(plan.groups)
+        """The most runs of each group that train at once."""
 
     def train(self, chosen: Sequence[Chunk], desk: Desk) -> None:
         """Train all runs of the chunks that are not finished.
@@ -159,7 +160,6 @@ class Engine:
         Raises:
           InputError: some cannot be trained; all others are.
         """
-        raise NotImplementedError
 
     def close(self) -> None:
         """Give back what it holds, by default nothing."""

@@ -9,7 +9,7 @@ import pytest
 from small_sweep import CONFIG, LONG, assert_same_tables, write_config
 
 from humanoid_mjx import InputError, compute, sweep
-from humanoid_mjx.commands.slurm import Job, Others, submit_sweep
+from humanoid_mjx.commands.slurm import Job, submit_sweep
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.folder import RunFolder, parts, pools, read_arrays
 from humanoid_mjx.runs.listing import look_at
@@ -95,7 +95,7 @@ def test_a_job_that_slurm_interrupts_stores_its_state_and_goes_on_from_it(whole,
     again.function()
     assert restored[0].any()
     train_chunks(run, [3, 4, 5])
-    assert_same_tables(sweep(ARRAY, run, resume=True, engine=Others).path, whole)
+    assert_same_tables(sweep(ARRAY, run, resume=True, engine=chunks.Engine).path, whole)
 
 
 def test_jobs_share_a_run_folder_and_the_last_one_says_what_is_missing(whole, tmp_path):
@@ -107,10 +107,10 @@ def test_jobs_share_a_run_folder_and_the_last_one_says_what_is_missing(whole, tm
         sweep(ARRAY, run, resume=True)
     other.close()
     with pytest.raises(InputError, match=r"24 of 36 runs are not finished; the same command with resume=True"):
-        sweep(ARRAY, run, resume=True, engine=Others)
+        sweep(ARRAY, run, resume=True, engine=chunks.Engine)
     assert len(Run(run).summary["point"]) == 12
     train_chunks(run, [1, 3, 4, 5])
-    assert_same_tables(sweep(ARRAY, run, resume=True, engine=Others).path, whole)
+    assert_same_tables(sweep(ARRAY, run, resume=True, engine=chunks.Engine).path, whole)
 
 
 @pytest.mark.skipif(submitit is None, reason="needs submitit")
