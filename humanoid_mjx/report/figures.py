@@ -27,13 +27,11 @@ PANELS_IN_A_ROW = 3
 
 
 class Figure(NamedTuple):
-    """A figure of a learning curve, drawn panel by panel."""
+    """A figure, drawn panel by panel."""
 
     title: str
-    needed: tuple[str, ...]
-    """Columns without which it is not drawn."""
-    draw: Callable[[Any, Learning, str | None], dict[str, float]]
-    """(panel, curves, swept parameter) -> the last value of each line by its label."""
+    draw: Callable[[Any, str | None], dict[str, float] | None]
+    """(panel, swept parameter) -> numbers for its description by label, such as the last value of each line."""
     by_axis: bool = True
     """True if it tells the values of a swept parameter apart."""
 
@@ -57,7 +55,7 @@ def sweep_figures(folder: Path, title: str, learning: Learning) -> list[Path]:
         paths.append(folder / "parameters.png")
         with side_by_side(paths[-1], [each.title for each in others], f"{title}: {EFFECTS[learning.mode]}") as panels:
             for each, panel in zip(others, panels, strict=True):
-                each.draw(panel, learning, None)
+                each.draw(panel, None)
     for name in mapped(learning):
         paths.append(folder / f"{name}.png")
         heat_maps(paths[-1], f"{title}: {HEAT_MAPS[name]}", learning, name)
@@ -75,29 +73,32 @@ EFFECTS = {
 
 def mapped(learning: Learning) -> list[str]:
     """The measures worth a heat map: a grid has two swept parameters, and the measure is not the same everywhere."""
-    finals = {name: learning.finals(name) for name in HEAT_MAPS if by_value(learning) and len(learning.axes) > 1}
+    return _final(learning) if len(learning.axes) > 1 else []
+
+
+def _final(learning: Learning) -> list[str]:
+    """The measures of greedy episodes after training that differ between the points of a grid or their seeds."""
+    finals = {name: learning.finals(name) for name in HEAT_MAPS if by_value(learning)}
     return [name for name, values in finals.items() if values is not None and _tells(values)]
 
 
 def curved(learning: Learning) -> list[Figure]:
-    """The figures worth drawing: of what was recorded those that change, or if none does all."""
-    measures = [Figure(title, (name,), partial(draw_curves, name=name)) for name, title in CURVES.items()]
+    """The figures worth drawing: of what was recorded those that change, or if none does all; and one of greedy
+    episodes after training that have no curve."""
+    recorded = {
+        (name,): Figure(title, partial(draw_curves, learning, name))
+        for name, title in CURVES.items()
+        if name in learning.names
+    }
     # A term of the reward is nothing else that is recorded.
-    terms = tuple(name for name in learning.names if name not in CURVES and not name.startswith("greedy_"))
-    every = *measures, *([Figure(TERMS, terms, partial(draw_terms, names=terms), by_axis=False)] if terms else [])
-    recorded = [each for each in every if set(each.needed) <= set(learning.names)]
-    tell = {name: _tells(learning.read(name)) for each in recorded for name in each.needed}
+    if terms := tuple(name for name in learning.names if name not in CURVES and not name.startswith("greedy_")):
+        recorded[terms] = Figure(TERMS, partial(draw_terms, learning, terms), by_axis=False)
+    tell = {name: _tells(learning.read(name)) for names in recorded for name in names}
     if {"steps", "return"} <= tell.keys() and _mirrors(learning.read("steps"), learning.read("return")):
         tell["return"] = False
-    drawn = [each for each in recorded if any(tell[name] for name in each.needed)] or recorded
-    return drawn + [Figure(title, (name,), partial(draw_greedy, name=name)) for name, title in _greedy(learning)]
-
-
-def _greedy(learning: Learning) -> list[tuple[str, str]]:
-    """The measure of greedy episodes after training to draw beside the curves; none where points have no parameters."""
-    finals = {name: learning.finals(name) for name in HEAT_MAPS if learning.axes and name not in learning.names}
-    told = [(name, HEAT_MAPS[name]) for name, values in finals.items() if values is not None and _tells(values)]
-    return told[:1] if by_value(learning) else []
+    drawn = [each for names, each in recorded.items() if any(tell[name] for name in names)] or [*recorded.values()]
+    greedy = [name for name in _final(learning) if name not in learning.names][:1]
+    return drawn + [Figure(HEAT_MAPS[name], partial(draw_greedy, learning, name)) for name in greedy]
 
 
 def by_value(learning: Learning) -> bool:
@@ -140,7 +141,7 @@ def learning_curves(path: Path, title: str, learning: Learning) -> None:
         axis = axes[0] if axes and by_value(learning) else None
         with side_by_side(path, [axis or ""] * len(rows), heading) as panels:
             for panel, each in zip(panels, rows, strict=True):
-                each.draw(panel, learning, axis)
+                each.draw(panel, axis)
         return
     with figure(path, len(rows), len(axes), heading=heading, sharey="row") as (_, panels):
         for (row, each), (column, axis) in product(enumerate(rows), enumerate(axes)):
@@ -148,26 +149,19 @@ def learning_curves(path: Path, title: str, learning: Learning) -> None:
             if column > 0 and not each.by_axis:
                 panel.set_axis_off()
                 continue
-            each.draw(panel, learning, axis)
+            each.draw(panel, axis)
             if row == 0:
                 panel.set_title(axis)
             if column > 0:
                 panel.set_ylabel("")
 
 
-class Drawn(NamedTuple):
-    """A line to draw."""
-
-    label: str
-    color: Any
-    best: Float[np.ndarray, "seeds record"]
-    """Of the best point that it is about."""
-    mean: Float[np.ndarray, "seeds record"] | None
-    """Over all points that it is about; None where there is one."""
-
-
-def _drawn(learning: Learning, axis: str | None, values: Float[np.ndarray, "points seeds ..."]) -> list[Drawn]:
-    """The lines of a panel: one for each value of a parameter, or for each of the best points."""
+def _drawn(
+    learning: Learning, axis: str | None, values: Float[np.ndarray, "points seeds ..."]
+) -> list[tuple[Any, ...]]:
+    """The lines of a panel, one for each value of a parameter, or for each of the best points: label, colour, the
+    values (seeds, ...) of the best point that it is about, and the mean over all such points; None where there is one.
+    """
     rank = np.argsort(learning.order)
     if axis is None and learning.axes:
         labels = [", ".join(short(column[point]) for column in learning.axes.values()) for point in learning.order]
@@ -175,55 +169,56 @@ def _drawn(learning: Learning, axis: str | None, values: Float[np.ndarray, "poin
         if learning.mode == "zip":
             best.sort(key=lambda each: each[1])
         colors = shades(len(best))
-        return [Drawn(label, color, values[at], None) for (label, at), color in zip(best, colors, strict=True)]
+        return [(label, color, values[at], None) for (label, at), color in zip(best, colors, strict=True)]
     if axis is None:
-        return [Drawn("all", shades(1)[0], values[0], None)]
+        return [("all", shades(1)[0], values[0], None)]
     levels, found = find_levels(learning.axes[axis]), []
     for level, (label, color) in enumerate(zip(levels.labels, shades(len(levels.labels)), strict=True)):
         mine = np.flatnonzero(levels.index == level)
         best = mine[np.argmin(rank[mine])]
-        found.append(Drawn(label, color, values[best], mean_known(values[mine]) if len(mine) > 1 else None))
+        found.append((label, color, values[best], mean_known(values[mine]) if len(mine) > 1 else None))
     return found
 
 
-def draw_curves(panel: Any, learning: Learning, axis_name: str | None, name: str) -> dict[str, float]:
+def draw_curves(learning: Learning, name: str, panel: Any, axis_name: str | None) -> dict[str, float]:
     """One panel of learning curves.
 
     Returns:
       the last value of each solid line by its label; NaN where there is none.
     """
-    lines, within = _drawn(learning, axis_name, learning.read(name)), possible(name)
+    lines, x, ends = _drawn(learning, axis_name, learning.read(name)), learning.places, {}
     dashed: dict[str, Any] = {"band": False, "linestyle": "--", "linewidth": 0.9, "alpha": 0.8}
-    for line in lines:
-        if line.mean is not None:
-            draw_band(panel, learning.places, line.mean, line.color, **dashed)
-    ends = [draw_band(panel, learning.places, one.best, one.color, within=within, label=one.label).end for one in lines]
+    for _, color, _, mean in lines:
+        if mean is not None:
+            draw_band(panel, x, mean, color, **dashed)
+    for label, color, best, _ in lines:
+        ends[label] = draw_band(panel, x, best, color, within=possible(name), label=label).end
     if learning.axes:
         label_lines(panel, None if axis_name else ", ".join(axis.rpartition(".")[2] for axis in learning.axes))
     count_axis(panel)
     panel.set_xlabel(COUNTED[learning.unit])
     panel.set_ylabel(CURVES[name])
-    return dict(zip((one.label for one in lines), ends, strict=True))
+    return ends
 
 
-def draw_greedy(panel: Any, learning: Learning, axis_name: str | None, name: str) -> dict[str, float]:
+def draw_greedy(learning: Learning, name: str, panel: Any, axis_name: str | None) -> dict[str, float]:
     """One panel of greedy episodes after training, by the values of a parameter; returns as `draw_curves`."""
     values = learning.finals(name)
     lines = _drawn(learning, axis_name, np.zeros((0, 0)) if values is None else values)
-    for place, each in enumerate(lines):
-        draw_bar(panel, place, each.best, each.color, name, fmt="o")
-        if each.mean is not None:
-            draw_bar(panel, place + 0.25, each.mean, each.color, name, fmt="D", markerfacecolor="white", alpha=0.8)
-    labels = [each.label for each in lines]
+    for place, (_, color, best, mean) in enumerate(lines):
+        draw_bar(panel, place, best, color, name, fmt="o")
+        if mean is not None:
+            draw_bar(panel, place + 0.25, mean, color, name, fmt="D", markerfacecolor="white", alpha=0.8)
+    labels = [label for label, *_ in lines]
     crowded = len("".join(labels)) > 36
     panel.set_xticks(range(len(lines)), labels, rotation=45 if crowded else 0, ha="right" if crowded else "center")
     words = "after training" + "; dots: the best setting, diamonds: the mean" * (len(learning.axes) > 1)
     panel.set_xlabel(f"{words}\nlines: 95 % interval of the median, at times to one side")
     panel.set_ylabel(textwrap.fill(HEAT_MAPS[name], 28))
-    return {each.label: float(np.median(each.best)) for each in lines}
+    return {label: float(np.median(best)) for label, _, best, _ in lines}
 
 
-def draw_terms(panel: Any, learning: Learning, axis_name: str | None, names: Sequence[str]) -> dict[str, float]:
+def draw_terms(learning: Learning, names: Sequence[str], panel: Any, _: str | None) -> dict[str, float]:
     """One panel of columns, a line for each, the mean over all points; returns as `draw_curves`."""
     looks = product(("-", "--", ":"), COLORS)  # colours come again with another dash
     ends = [
@@ -242,11 +237,11 @@ def parameters(learning: Learning) -> list[Figure]:
     judged, axes = [each for each in learning.compared[:2] if each.measure], learning.axes
     if not judged or len(axes) < 2 or learning.mode in ("zip", "halving") or len(learning.points) < 2:
         return []
-    shares = [Figure(MEASURES[each.measure], (), partial(draw_importance, judged=each)) for each in judged]
+    shares = [Figure(MEASURES[each.measure], partial(draw_importance, each)) for each in judged]
     if learning.mode != "random":
         return shares
-    points = [Figure(axis, (), partial(draw_points, axis=axis)) for axis in axes]
-    return [*points, *shares, Figure("a line a point; bold: as good as the best", (), draw_parallel)]
+    points = [Figure(axis, partial(draw_points, learning, axis)) for axis in axes]
+    return [*points, *shares, Figure("a line a point; bold: as good as the best", partial(draw_parallel, learning))]
 
 
 def _mirrors(one: np.ndarray, other: np.ndarray) -> bool:

@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -111,10 +111,10 @@ def draw_learned(path: Path, out: Path | None) -> tuple[Path, list[str]]:
         write_frames(map(partial(_frame, path.resolve().name), figures), out, fps=4.0)
         return out, [words]
     words, figures = learned(path)
-    target, curves = out or path / "figures" / "learned.png", cast(Any, None)
+    target = out or path / "figures" / "learned.png"
     with side_by_side(target, [each.title for each in figures], path.resolve().name) as panels:
         for panel, each in zip(panels, figures, strict=True):
-            each.draw(panel, curves, None)
+            each.draw(panel, None)
     return target, [words]
 
 
@@ -122,7 +122,7 @@ def _frame(heading: str, each: Figure) -> Frame:
     """A frame of a film."""
     with figure(None, 1, 1, (5.2, 4.0), heading) as (fig, panels):
         panels[0, 0].set_title(each.title)
-        each.draw(panels[0, 0], cast(Any, None), None)
+        each.draw(panels[0, 0], None)
         fig.canvas.draw()
         return np.array(fig.canvas.buffer_rgba())[..., :3]
 
@@ -138,33 +138,31 @@ def _table(stages: Stages, stage: int, title: str) -> Figure:
     known, table = stages.known[-1], stages.known[stage]
     look = {"vmin": np.nanmin(known), "vmax": np.nanmax(known), "cmap": SEQUENTIAL}
 
-    def whole(panel: Any, *_: Any) -> dict[str, float]:
+    def whole(panel: Any, _: str | None) -> None:
         panel.figure.colorbar(panel.imshow(table.T, aspect="auto", origin="lower", **look), ax=panel)
         size = float(np.clip(150 / len(table), 0.5, 5))
         panel.plot(*np.nonzero(best(table)), "o", color="white", markeredgecolor="black", markersize=size)
         panel.set_yticks(range(0, table.shape[1], 1 + table.shape[1] // 12))
         panel.set(xlabel="state", ylabel="action")
         panel.grid(False)
-        return {}
 
-    return Figure(title, (), whole)
+    return Figure(title, whole)
 
 
 def _tables(stages: Stages) -> list[Figure]:
     """The whole of any table, then lines of values and visits by state."""
 
-    def lines(rows: np.ndarray, panel: Any, *_: Any) -> dict[str, float]:
+    def lines(rows: np.ndarray, panel: Any, _: str | None) -> None:
         for row, words, color in zip(rows, stages.words, shades(len(rows)), strict=True):
             panel.plot(row, color=color, label=words, marker="o", markersize=2, linewidth=1)
         panel.set_xlabel("state")
         label_lines(panel)
         if rows is visits:
             log_axis(panel, counted=True, upright=True)
-        return {}
 
     visits = np.where(stages.visits > 0, stages.visits, np.nan)
     by_state = {"value of each state": stages.known.max(axis=2), "visits: moves made in each state": visits}
-    along = [Figure(title, (), partial(lines, rows)) for title, rows in by_state.items()]
+    along = [Figure(title, partial(lines, rows)) for title, rows in by_state.items()]
     return [_table(stages, -1, "the table at the end"), *(along if len(stages.episodes) > 1 else [])]
 
 
@@ -175,7 +173,7 @@ def _rooms(grid: tuple[str, ...], stages: Stages) -> list[Figure]:
     known = np.where((walls | goal)[:, None], np.nan, stages.known)
     least, most = (bound(known[-1].max(axis=1)) for bound in (np.nanmin, np.nanmax))
 
-    def room(panel: Any, values: np.ndarray, **look: Any) -> dict[str, float]:
+    def room(panel: Any, values: np.ndarray, **look: Any) -> None:
         panel.imshow(np.where(walls, 0.35, np.nan).reshape(shape), cmap="gray", vmin=0, vmax=1)
         panel.figure.colorbar(panel.imshow(values.reshape(shape), cmap=SEQUENTIAL, **look), ax=panel)
         for letter in "SG":
@@ -183,9 +181,8 @@ def _rooms(grid: tuple[str, ...], stages: Stages) -> list[Figure]:
             panel.text(column, row, letter, ha="center", va="center", fontweight="bold", color=COLORS[1])
         panel.set(xticks=[], yticks=[])
         panel.grid(False)
-        return {}
 
-    def policy(stage: int, panel: Any, *_: Any) -> dict[str, float]:
+    def policy(stage: int, panel: Any, _: str | None) -> None:
         table = known[stage]
         rows, columns = np.divmod(greedy_way(grid, stages.tables[stage]), shape[1])
         panel.plot(columns, rows, color=COLORS[1], linewidth=2)
@@ -194,13 +191,13 @@ def _rooms(grid: tuple[str, ...], stages: Stages) -> list[Figure]:
         size = {"units": "xy", "scale": 1.6, "width": 0.08, "headwidth": 5, "headlength": 4, "headaxislength": 4}
         look = {"color": "white", "edgecolor": "black", "linewidth": 0.4, "zorder": 3}
         panel.quiver(columns, rows, right, down, angles="xy", scale_units="xy", pivot="mid", **size, **look)
-        return room(panel, table.max(axis=1), vmin=least, vmax=most)
+        room(panel, table.max(axis=1), vmin=least, vmax=most)
 
-    def visits(panel: Any, *_: Any) -> dict[str, float]:
-        return room(panel, np.where(stages.visits[-1] > 0, stages.visits[-1], np.nan), norm=PowerNorm(0.5))
+    def visits(panel: Any, _: str | None) -> None:
+        room(panel, np.where(stages.visits[-1] > 0, stages.visits[-1], np.nan), norm=PowerNorm(0.5))
 
-    along = [Figure(words, (), partial(policy, stage)) for stage, words in enumerate(stages.words)]
-    return [*along, *[Figure("visits: moves made in each cell", (), visits)] * (len(along) > 1)]
+    along = [Figure(words, partial(policy, stage)) for stage, words in enumerate(stages.words)]
+    return [*along, *[Figure("visits: moves made in each cell", visits)] * (len(along) > 1)]
 
 
 def greedy_way(grid: tuple[str, ...], table: Float[np.ndarray, "cells moves"]) -> list[int]:

@@ -65,14 +65,14 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
         "Learning": [text(f"Lines: {averaged(learning)}."), *curve_panels(learning)],
     }
     if others := parameters(learning):
-        parts["What matters"] = [text(_capital(EFFECTS[learning.mode]) + "."), _panels(learning, others)]
+        parts["What matters"] = [text(_capital(EFFECTS[learning.mode]) + "."), _panels(others)]
     if maps := mapped(learning):
         parts["Two parameters at a time"] = _maps(learning, maps)
     if config["learner"]["name"] == "tabular_q":
         reporter.phase("drawing its table")
         with suppress(InputError):  # which `_differences` tells
             words, tables = learned(path)
-            parts["What was learned"] = [text(words), _panels(learning, tables)]
+            parts["What was learned"] = [text(words), _panels(tables)]
     if motion and (shown := _motion(path, reporter)):
         parts["The robot"] = shown
     parts |= {
@@ -131,25 +131,22 @@ def curve_panels(learning: Learning) -> list[str]:
     """A row of panels for each figure, on one scale; where lines are points of the sweep, all figures in one."""
     rows, axes = curved(learning), list(learning.axes)
     if not by_value(learning):
-        return [_panels(learning, rows)]
-    return [
-        text(_capital(each.title), "h3") + _grid(_row(learning, axes if each.by_axis else (None,), each))
-        for each in rows
-    ]
+        return [_panels(rows)]
+    return [text(_capital(each.title), "h3") + _grid(_row(axes if each.by_axis else (None,), each)) for each in rows]
 
 
-def _panels(learning: Learning, figures: Iterable[Figure]) -> str:
+def _panels(figures: Iterable[Figure]) -> str:
     """The figures side by side, a panel each."""
-    return _grid(panel for each in figures for panel in _row(learning, (None,), each))
+    return _grid(panel for each in figures for panel in _row((None,), each))
 
 
-def _row(learning: Learning, axes: Sequence[str | None], each: Figure) -> list[str]:
+def _row(axes: Sequence[str | None], each: Figure) -> list[str]:
     """The panels of one figure, a swept parameter each."""
     with ExitStack() as stack:
         files = [io.BytesIO() for _ in axes]
         figures = [stack.enter_context(figure(file, 1, 1, size=PANEL)) for file in files]
         panels = [grid[0, 0] for _, grid in figures]
-        ends = [each.draw(panel, learning, axis) for panel, axis in zip(panels, axes, strict=True)]
+        ends = [each.draw(panel, axis) for panel, axis in zip(panels, axes, strict=True)]
         low, high = zip(*(panel.get_ylim() for panel in panels), strict=True)
         for (fig, _), panel in zip(figures, panels, strict=True):
             panel.set_ylim(min(low), max(high))
@@ -157,7 +154,7 @@ def _row(learning: Learning, axes: Sequence[str | None], each: Figure) -> list[s
         lines = [_lines(panel) for panel in panels]
     found = []
     for axis, file, end, data in zip(axes, files, ends, lines, strict=True):
-        last = ", ".join(f"{label}: {value:.4g}" for label, value in end.items())
+        last = ", ".join(f"{label}: {value:.4g}" for label, value in (end or {}).items())
         by = f" by {axis}" if axis else ""
         words = f"{each.title}{by}" + f"; at the end {last}" * bool(last)
         found.append(_figure(file.getvalue(), words, axis or _capital(each.title), lines=data))

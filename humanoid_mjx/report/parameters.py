@@ -17,7 +17,7 @@ MAX_LABELS, MAX_CELLS = 8, 60
 """The most values written along a side of a heat map, and the most of its cells that say their number."""
 
 
-def draw_points(panel: Any, learning: Learning, _: str | None, axis: str) -> dict[str, float]:
+def draw_points(learning: Learning, axis: str, panel: Any, _: str | None) -> None:
     """The result of each point over a parameter, with a local mean of the points and its 95 % interval."""
     policy, column = learning.compared.policy, learning.axes[axis]
     result = of_points(learning, policy.measure)
@@ -42,7 +42,6 @@ def draw_points(panel: Any, learning: Learning, _: str | None, axis: str) -> dic
         panel.fill_between(at, low, high, color=COLORS[0], alpha=0.2, linewidth=0)
     panel.set_xlabel(axis)
     panel.set_ylabel(MEASURES[policy.measure])
-    return {}
 
 
 def local_mean(
@@ -58,7 +57,7 @@ def local_mean(
     return middle - half, middle, middle + half
 
 
-def draw_importance(panel: Any, learning: Learning, axis_name: str | None, judged: Judged) -> dict[str, float]:
+def draw_importance(judged: Judged, panel: Any, _: str | None) -> dict[str, float]:
     """A bar for each parameter, and for each two of them together: the share of the differences that it explains."""
     shares = list(judged.matters.items())[:MAX_LABELS][::-1]
     for place, (_, share) in enumerate(shares):
@@ -71,7 +70,7 @@ def draw_importance(panel: Any, learning: Learning, axis_name: str | None, judge
     return {name: share.value for name, share in shares}
 
 
-def draw_parallel(panel: Any, learning: Learning, axis_name: str | None) -> dict[str, float]:
+def draw_parallel(learning: Learning, panel: Any, _: str | None) -> None:
     """Parallel coordinates: a line for each point through its values of all parameters, yellow where it is best."""
     policy, places = learning.compared.policy, []
     result = of_points(learning, policy.measure)
@@ -92,7 +91,6 @@ def draw_parallel(panel: Any, learning: Learning, axis_name: str | None) -> dict
     panel.set_xticks(range(len(places)), [axis.rpartition(".")[2] for axis in learning.axes])
     panel.set_yticks([])
     panel.set_ylim(-0.08, 1.08)
-    return {}
 
 
 def heat_maps(path: Path, title: str, learning: Learning, name: str) -> None:

@@ -10,6 +10,7 @@ from small_sweep import of_rows
 from test_page import HOSTILE
 
 from humanoid_mjx.evaluation.film import Film, Push
+from humanoid_mjx.report.drawing import CURVES
 from humanoid_mjx.report.figures import curved
 from humanoid_mjx.report.page import _row
 from humanoid_mjx.report.scene import player
@@ -94,10 +95,10 @@ def test_tables_sort_and_curves_say_their_values(tmp_path):
         "steps": np.array([9.0, 4, 3, 9, 4, 3, 8, 7, 6, 8, 7, 6]),
     }
     learned = of_rows(results, ["learner.epsilon"])
-    (figure,) = [each for each in curved(learned) if each.needed == ("steps",)]
+    (figure,) = [each for each in curved(learned) if each.title == CURVES["steps"]]
     rows = [("x", "10"), ("y", "9.5 (1 to 20)"), ("z", "1e2")]
     body = contents(["A table"]) + section(
-        "A table", table(("name", "n"), rows), *_row(learned, ["learner.epsilon"], figure)
+        "A table", table(("name", "n"), rows), *_row(["learner.epsilon"], figure)
     )
     file = tmp_path / "page.html"
     file.write_text(page("t", body))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_sweep import of_rows
 
-from humanoid_mjx.report.drawing import draw_bar
+from humanoid_mjx.report.drawing import CURVES, HEAT_MAPS, draw_bar
 from humanoid_mjx.report.figures import averaged, curved, draw_curves, draw_greedy, mapped, parameters
 from humanoid_mjx.report.parameters import draw_map, draw_parallel, local_mean
 from humanoid_mjx.runs.ranking import by_point, compared
@@ -40,7 +40,7 @@ def learned(mode="grid"):
 
 def test_a_value_has_its_best_setting_and_the_mean_over_all(panel):
     learning = learned()
-    draw_curves(panel, learning, "learner.epsilon", "steps")
+    draw_curves(learning, "steps", panel, "learner.epsilon")
     curves, lines = learning.read("steps"), panel.lines
     dashed, solid = ([line for line in lines if line.get_linestyle() == style] for style in ("--", "-"))
     for of, (mine, best), mean in zip(solid, (([0, 1], 1), ([2, 3], 2), ([4, 5], 4)), dashed, strict=True):
@@ -71,9 +71,9 @@ def test_a_band_ends_where_values_are_impossible(panel, measure, seeds, ends):
 
 def test_greedy_episodes_stand_beside_the_curves(panel):
     learning = learned()
-    titles = [each.needed for each in curved(learning)]
-    assert titles == [("steps",), ("greedy_success",)]
-    ends = draw_greedy(panel, learning, "learner.rate", "greedy_success")
+    titles = [each.title for each in curved(learning)]
+    assert titles == [CURVES["steps"], HEAT_MAPS["greedy_success"]]
+    ends = draw_greedy(learning, "greedy_success", panel, "learner.rate")
     success = learning.finals("greedy_success")
     assert ends == pytest.approx({"0.3": np.median(success[4]), "1": np.median(success[1])})
 
@@ -81,7 +81,7 @@ def test_greedy_episodes_stand_beside_the_curves(panel):
 @pytest.mark.parametrize("mode", ["zip", "random"])
 def test_points_that_are_no_grid_are_drawn_one_by_one(panel, mode):
     learning = learned(mode)
-    draw_curves(panel, learning, None, "steps")
+    draw_curves(learning, "steps", panel, None)
     values = [text.get_text() for text in panel.get_legend().get_texts()]
     order = range(6) if mode == "zip" else ORDER
     assert values == [f"{EPSILON[point]:g}, {RATE[point]:g}" for point in order]
@@ -94,7 +94,7 @@ def test_points_that_are_no_grid_are_drawn_one_by_one(panel, mode):
 
 
 def test_parallel_coordinates_have_a_line_for_each_point(panel):
-    draw_parallel(panel, learned("random"), None)
+    draw_parallel(learned("random"), panel, None)
     assert len(panel.lines) == 6 and all(0 <= y <= 1 for line in panel.lines for y in line.get_ydata())
 
 
