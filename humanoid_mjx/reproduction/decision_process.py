@@ -69,7 +69,8 @@ def waiting(setting: Setting) -> Iterator[Finding]:
         claim = "in the next time of running it switches to the next state with the old values (6.4)"
         why = f"waiting a step before the goal for ever ({last:g} a step) is worth more than the goal ({end:g} + "
         why += f"{PRINTED['bonus']:g}, once) from {1 - last / (end + PRINTED['bonus']):.4f} on; in training the "
-        why += f"largest discount tried at which most runs go to the goal is {_largest(discounts, share[joint]):g}"
+        most = max(discounts[share[joint] > 0.5], default=np.nan)
+        why += f"largest discount tried at which most runs go to the goal is {most:g}"
         arrive = float(share[joint][at_printed])
         yield check(quantity, claim, round(arrive, 3), arrive > 0.99, why, 0.01)
 
@@ -85,11 +86,13 @@ def _stepping_back(share: np.ndarray) -> Finding:
     """The verdict on the shares of runs that learn to step back, by reward of a step back."""
     costs = -np.array(BACK_REWARDS)
     keeps = share[costs > 0] < 0.5
-    limit = largest_cost(STEPPING_BACK["steps"], PRINTED["bonus"], PRINTED["discount"])
+    steps, discount = STEPPING_BACK["steps"], PRINTED["discount"]
+    # The way is worth discount**(steps - 1) * bonus - cost * (1 - discount**steps) / (1 - discount), staying 0.
+    limit = discount ** (steps - 1) * PRINTED["bonus"] * (1 - discount) / (1 - discount**steps)
     quantity = f"share of joints that step back to their goal when a step back is rewarded with {listed(-costs)}"
     claim = "if a negative reward is awarded, the feet will not bring themselves back (chapter 6)"
-    why = f"{STEPPING_BACK['steps']} steps back lead to the goal and its bonus of {PRINTED['bonus']:g}; staying earns "
-    why += f"nothing. At a discount of {PRINTED['discount']:g} the way back pays up to a cost of {limit:.2f} a step: "
+    why = f"{steps} steps back lead to the goal and its bonus of {PRINTED['bonus']:g}; staying earns "
+    why += f"nothing. At a discount of {discount:g} the way back pays up to a cost of {limit:.2f} a step: "
     why += "only beyond it is the fear right"
     return check(quantity, claim, [round(float(s), 3) for s in share], keeps.all(), why)
 
@@ -122,19 +125,6 @@ class SteppingBack(FiniteTask):
         state = jnp.clip(state + jnp.where(back, -1, action), 0, 2 * self.steps).astype(jnp.int32)
         there = state == 0
         return state, jnp.where(back, self.back_reward, 0.0) + jnp.where(there, self.bonus, 0.0), there
-
-
-def largest_cost(steps: int, bonus: float, discount: float) -> float:
-    """The largest cost of a step back at which going to the goal is worth more than staying forever.
-
-    The way is worth `discount**(steps - 1) * bonus - cost * (1 - discount**steps) / (1 - discount)`, staying 0.
-    """
-    return discount ** (steps - 1) * bonus * (1 - discount) / (1 - discount**steps)
-
-
-def _largest(discounts: np.ndarray, share: np.ndarray) -> float:
-    """The largest discount at which more than half of the runs reach the goal."""
-    return float(discounts[share > 0.5].max()) if (share > 0.5).any() else float("nan")
 
 
 def _greedy_success(task: dict[str, Any], axes: dict[str, list[float]]) -> np.ndarray:

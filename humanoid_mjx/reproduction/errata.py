@@ -1,8 +1,5 @@
 """The formulas as printed against the verified mechanics: what is wrong, what it should be, and what it does."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +27,11 @@ def errata(setting: Setting) -> list[Finding]:
     findings = [_compare(entry, in_range if entry.in_range else anywhere) for entry in ENTRIES]
     setting.table(
         ("place", "fault", *NUMBERS, "verdict", "what it should be, and where tried"),
-        ((f.quantity, f.printed, *_numbers(f.reproduced), f.verdict, f.why) for f in findings),
+        (
+            (f.quantity, f.printed, *(f"{found[key]:.3g} {found['unit']}".strip() for key in NUMBERS), f.verdict, f.why)
+            for f in findings
+            for found in [f.reproduced]
+        ),
     )
     return findings
 
@@ -73,7 +74,3 @@ def _dynamics(legs: tuple[Leg, Leg], q: jax.Array) -> dict[str, jax.Array]:
         "upright_gravity": dynamics.gravity(leg, q),
         "sideways_gravity": dynamics.gravity(sideways, q),
     }
-
-
-def _numbers(found: Mapping[str, Any]) -> list[str]:
-    return [f"{found[key]:.3g} {found['unit']}".strip() for key in NUMBERS]

@@ -93,8 +93,9 @@ def _values(config: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def way(joint: int, setting: Setting) -> Iterator[Finding]:
     """Figures 7.11, 7.13, 7.15: the printed marks against the middle 95 % of many runs."""
-    run = printed_run(joint, setting.config, RUNS, STEPS)
-    angle = _angles(run, joint, setting.config["task"]["action"])
+    run, (start, goal) = printed_run(joint, setting.config, RUNS, STEPS), thesis.JOINT_RANGES[joint]
+    angle = start + setting.config["task"]["action"] * run.state[:, :-1]
+    angle[:, 1:][np.cumsum(run.terminated, axis=1)[:, :-1] > 0] = goal
     low, high = np.quantile(angle, (0.025, 0.975), axis=0)
     values = _values(setting.config)
     lengths = np.where(run.terminated.any(axis=1), run.terminated.argmax(axis=1) + 1, STEPS)
@@ -186,15 +187,6 @@ def _averages(averages: dict[int, float], steps: dict[int, int]) -> Finding:
     why += "say were drawn at least"
     between = [round(0.5 - half, 4), round(0.5 + half, 4)]
     return check(quantity, round(pooled, 4), between, abs(pooled - 0.5) <= half, why)
-
-
-def _angles(run: Any, joint: int, action: float) -> np.ndarray:
-    """(runs, steps) The joint's angle before each step, degrees; the goal once it is reached."""
-    start, goal = thesis.JOINT_RANGES[joint]
-    arrived = np.cumsum(run.terminated, axis=1)[:, :-1] > 0
-    angle = start + action * run.state[:, :-1]
-    angle[:, 1:][arrived] = goal
-    return angle
 
 
 for _number, _joint in enumerate((1, 4, 5)):

@@ -1,7 +1,7 @@
 """Figures 7.17 and 7.18: both legs go from one posture to another, by what a table learned."""
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,30 +54,34 @@ class Switch(NamedTuple):
 @experiment("figure-7.17", "The initial posture of the legs")
 def initial(setting: Setting) -> list[Finding]:
     """Figure 7.17: where the switch starts."""
-    upright = ('As the figure has it, "0° for all the joint"', np.zeros(10))
-    others = [(_words(section, ends[0]), _posture(ends[0])) for section, ends in thesis.POSTURES.items()]
-    _draw(setting, "Initial", [upright, *others])
-    return [_in_range(section, "start", ends[0]) for section, ends in thesis.POSTURES.items()]
+    upright = {'As the figure has it, "0° for all the joint"': (0.0, 0.0, 0.0)}
+    starts = {section: ends[0] for section, ends in thesis.POSTURES.items()}
+    _draw(setting, "Initial", upright | {_words(*each): each[1] for each in starts.items()})
+    return [_in_range(section, "start", degrees) for section, degrees in starts.items()]
 
 
 @experiment("figure-7.18", "The next posture of the legs, and the way there", TRAINING)
 def following(setting: Setting) -> Iterator[Finding]:
     """Figure 7.18: where the switch ends, and how it gets there."""
-    postures = [(_words(section, ends[1]), _posture(ends[1])) for section, ends in thesis.POSTURES.items()]
-    hip, _, ankle = thesis.POSTURES["7H"][1]
+    goals = {section: ends[1] for section, ends in thesis.POSTURES.items()}
+    hip, _, ankle = goals["7H"]
     as_printed = (hip, PRINTED_GOAL["knee"], ankle)
-    postures.append((f"{_words('7H', as_printed)}, the knee as printed", _posture(as_printed)))
-    _draw(setting, "Next", postures)
-    yield from (_in_range(section, "goal", ends[1]) for section, ends in thesis.POSTURES.items())
+    printed = {f"{_words('7H', as_printed)}, the knee as printed": as_printed}
+    _draw(setting, "Next", {_words(*each): each[1] for each in goals.items()} | printed)
+    yield from (_in_range(section, "goal", degrees) for section, degrees in goals.items())
     yield _sign()
     for section in thesis.POSTURES:
         yield from _switch(section, setting)
 
 
-def _draw(setting: Setting, when: str, postures: Sequence[tuple[str, np.ndarray]]) -> None:
-    """A panel for each posture of the joints, (10,) rad, with its lowest foot on the ground."""
-    title = f"{when} postures: degrees of the right leg, the left takes the opposite"
-    draw_bodies(setting, title, [[(words, standing(joints)) for words, joints in postures]], (3.5, 3.4))
+def _draw(setting: Setting, when: str, postures: Mapping[str, tuple[float, ...]]) -> None:
+    """A panel for each posture by its words, hip, knee and ankle of the right leg in degrees; its lowest foot is on the
+    ground, yaw and roll are 0."""
+    legs, row = np.zeros((2, 5)), []
+    for words, degrees in postures.items():
+        legs[:, [0, 3, 4]] = np.radians(degrees) * np.array(list(LEGS.values()))[:, None]
+        row.append((words, standing(legs.ravel())))
+    draw_bodies(setting, f"{when} postures: degrees of the right leg, the left takes the opposite", [row], (3.5, 3.4))
 
 
 def _in_range(section: str, when: str, degrees: tuple[float, ...]) -> Finding:
@@ -169,13 +173,6 @@ def _measure(motion: Any, task: Any) -> Switch:
 
 def _short(value: float) -> float | None:
     return None if np.isnan(value) else three_digits(value)
-
-
-def _posture(degrees: tuple[float, ...]) -> np.ndarray:
-    """(10,) rad: hip, knee and ankle of the right leg as given, of the left opposite; yaw and roll at 0."""
-    leg = np.zeros((2, 5))
-    leg[:, [0, 3, 4]] = np.radians(degrees) * np.array(list(LEGS.values()))[:, None]
-    return leg.ravel()
 
 
 def _words(section: str, degrees: tuple[float, ...]) -> str:

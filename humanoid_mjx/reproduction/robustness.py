@@ -1,6 +1,6 @@
-"""Sections 5.6 and 5.7 on computed torque, which show nothing: its errors, what limits them, and its cost."""
+"""Sections 5.3 to 5.7, which show nothing: computed torque, its errors, what limits them and its cost; gears."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import compute, dynamics
-from humanoid_mjx.control import Reference, servo
+from humanoid_mjx.control import Reference, implicit_euler, servo
 from humanoid_mjx.mechanics.trajectories import thesis_quintics
 from humanoid_mjx.report.style import COLORS, log_axis
 from humanoid_mjx.reproduction import tracking
-from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits
-from humanoid_mjx.reproduction.leg_values import errors_along
+from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, listed, three_digits, unprinted
+from humanoid_mjx.reproduction.leg_values import errors_along, over, planned
 from humanoid_mjx.robot.leg import Leg
 from humanoid_mjx.thesis import leg as thesis
 
@@ -96,11 +96,15 @@ def judge_cost(counts: Mapping[str, int]) -> Finding:
 def _errors(law: str) -> np.ndarray:
     """(cycles, models) Root mean square over the motion, of the worst joint, rad; infinite where the plan is lost."""
     cases = [(cycle, *model) for cycle in CYCLES for model in MODELS.values()]
-    cycle, error, payload = (jnp.array(values) for values in zip(*cases, strict=True))
-    start = jnp.tile(thesis_quintics().at(0.0).position, (len(cases), 1))
-    program = jax.jit(jax.vmap(partial(_root_mean_squares, law)), compiler_options=compute.compiler_options("scalars"))
-    worst = np.asarray(program(cycle, error, payload, start)).max(axis=1).reshape(len(CYCLES), len(MODELS))
+    worst = _of_batch(partial(_root_mean_squares, law), *zip(*cases, strict=True)).reshape(len(CYCLES), len(MODELS))
     return np.where(worst < LOST, worst, np.inf)
+
+
+def _of_batch(error: Callable[..., Any], *cases: Any) -> np.ndarray:
+    """(n,) The largest of a leg's errors, (5,) rad, from the values of a case, (n,) each, and the start of the plan."""
+    start = jnp.tile(thesis_quintics().at(0.0).position, (len(cases[0]), 1))
+    program = jax.jit(jax.vmap(error), compiler_options=compute.compiler_options("scalars"))
+    return np.asarray(program(*map(jnp.array, cases), start), float).max(axis=1)
 
 
 def _root_mean_squares(law: str, cycle: Any, error: Any, payload: Any, start: Any) -> Any:
@@ -115,3 +119,64 @@ def _root_mean_squares(law: str, cycle: Any, error: Any, payload: Any, start: An
 
 def _torque(law: str, model: Leg, plan: Reference, qpos: Any, qvel: Any) -> Any:
     return tracking.LAWS[law](model, qpos, qvel, servo(jnp.array(thesis.KP), jnp.array(thesis.KD), plan, qpos, qvel))
+
+
+HIGH, SHOWN = np.array([10.0, 30.0, 100.0, 300.0]), 100.0
+"""Gear ratios far above 1, and the one at which inertias are told."""
+
+ROTORS = np.array([1e-8, 1e-7, 1e-6, 1e-5])
+"""Rotor inertias that are tried, kg m^2: from motors of a few grams to one that weighs more than the leg."""
+
+TRACKS = np.radians(1.0)
+"""Largest error of a good trajectory tracking, rad."""
+
+
+@experiment("motors-5.3", "Gear and motor")
+def motors(setting: Setting) -> list[Finding]:
+    """Sections 5.3 and 5.4: what a gear makes of the leg's dynamics."""
+    inertia = over(dynamics.joint_inertias, Leg.physical(), planned(np.linspace(0, thesis.QUINTIC_S, 501)).position)
+    least, mean, most = inertia.min(axis=0), inertia.mean(axis=0), inertia.max(axis=0)
+    errors = _of_batch(partial(_ignoring_d, mean), (HIGH**2 * ROTORS[:, None]).ravel())
+    varies = (most - least) / (least + SHOWN**2 * ROTORS[:, None])
+    quantity = f"share by which I_eff of (5.20) varies at a gear of {SHOWN:g}, by rotor and joint"
+    why = 'from the least to the largest on the planned motion; "almost constant for highly geared manipulators" (5.4) '
+    why += "holds or fails with the rotor, of which nothing is printed. Without a gear and a rotor it varies by a "
+    why += f"factor of up to {(most / least).max():.1f}"
+    errors = np.nan_to_num(errors, nan=np.inf).reshape(len(ROTORS), len(HIGH))
+    return [unprinted(quantity, _by_rotor(varies), why), judge_tracking(errors)]
+
+
+def judge_tracking(errors: np.ndarray) -> Finding:
+    """The finding on section 5.3's claim that a highly geared joint tracks well though its controller ignores d.
+
+    No rotor and no gear is printed, so there is a verdict only where it is the same for all of them.
+
+    Args:
+      errors: (rotors, gears) Largest errors of the worst joint, rad, by `ROTORS` and `HIGH`.
+    """
+    tracks = errors <= TRACKS
+    quantity = f"largest error of the planned motion without d, rad, by rotor and gears of {listed(HIGH)}"
+    found = _by_rotor(errors)
+    why = "worst joint, each alone under Table 5.1's gains and the mean of its I_eff, the leg as it is, gravity along "
+    why += f"it; of {tracks.size} rotors and gears {tracks.sum()} track within a degree. What counts is the inertia "
+    why += "that the rotor adds to the joint, gear ratio^2 times its own"
+    if tracks.any() and not tracks.all():
+        return unprinted(quantity, found, f"{why}: the claim (5.3) holds or fails with values that are not printed")
+    return check(quantity, "a good trajectory tracking performance (5.3)", found, tracks.all(), why, float(TRACKS))
+
+
+def _ignoring_d(inertia: np.ndarray, added: Any, start: Any) -> Any:
+    """(5,) The largest errors, rad, of joints whose controllers know of the links a constant inertia, kg m^2, alone,
+    where rotors add `added` to each."""
+
+    def act(plan: Reference, qpos: Any, qvel: Any) -> Any:
+        return (inertia + added) * servo(jnp.array(thesis.KP), jnp.array(thesis.KD), plan, qpos, qvel)
+
+    free = implicit_euler(jnp.zeros(5), jnp.zeros(5), armature=added)
+    return jnp.abs(errors_along(Leg.physical(), act, start, 2 * STEP_S, free)).max(axis=0)
+
+
+def _by_rotor(values: np.ndarray) -> dict[str, list[float]]:
+    """Rows of values by the rotor's inertia."""
+    named = zip(ROTORS, np.minimum(values, 1e9), strict=True)
+    return {f"{rotor:g} kg m^2": three_digits(row) for rotor, row in named}

@@ -165,19 +165,15 @@ def together(setting: Setting) -> list[Finding]:
     possible = bool((np.abs(left[nearest] - printed) < TOLERANCES).all())
     why = f"{in_words(used, PRINTED)}: of {len(VARIANTS)} controllers the nearest ({nearest.words}) is off by up to "
     why += f"{np.abs(left[nearest] - printed).max():.2g}; control-7d.md has them all"
-    judged, quantity = (
-        {"values": (used, PRINTED), "possible": possible},
-        "errors of the five joints after 5 s under one",
-    )
+    quantity, judged = "errors of the five joints after 5 s under one controller, rad", {"possible": possible}
     places = f"places after {thesis.QUINTIC_S:g} s, rad: the targets less the printed errors"
     own, at = np.array(thesis.FIGURE_7_1)[:, 1] - printed, np.array(thesis.TRACKING["end"])
     within = np.array(TOLERANCES) + 5e-4
     differ = listed(np.flatnonzero(np.abs(own - at) > within) + 1)
-    numbers = "the text's own numbers, nothing is simulated" + f"; they contradict each other in joint {differ}" * bool(
-        differ
-    )
+    numbers = "the text's own numbers, nothing is simulated"
+    numbers += f"; they contradict each other in joint {differ}" * bool(differ)
     return [
-        compare(f"{quantity} controller, rad", printed, left[nearest], np.array(TOLERANCES), why, **judged),
+        compare(quantity, printed, left[nearest], TOLERANCES, why, values=(used, PRINTED), **judged),
         compare(places, at, own, within, numbers, 4, could_differ=False),
     ]
 

@@ -1,13 +1,11 @@
 """What is found on the ground: who stands, that no table of gaits walks; and the measures of a path."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from test_leg_experiments import by_name
 
 from humanoid_mjx.control import make_law
-from humanoid_mjx.reproduction import ground, ground_control, ground_gaits, load_experiments
+from humanoid_mjx.reproduction import ground, ground_experiments, load_experiments
 from humanoid_mjx.reproduction.ground import (
     LASTS_S,
     PHASES,
@@ -30,11 +28,8 @@ SIGNS = ((1, 1, 1), (1, -1, -1))
 def found(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:  # 18 bodies, and 24: two calls of one program
         patch.setattr(ground, "AT_ONCE", 24)
-        patch.setattr(ground_gaits, "SIGNS", SIGNS)
-        patch.setattr(ground_control, "IMPULSES", (0.2, 0.4, 0.7))
-        patch.setattr(ground_gaits, "PHASES", PHASES[:1])
-        for experiment in (ground_gaits, ground_control):
-            patch.setattr(experiment, "SECONDS", 1.6)
+        for name, value in (("SIGNS", SIGNS), ("IMPULSES", (0.2, 0.4, 0.7)), ("PHASES", PHASES[:1]), ("SECONDS", 1.6)):
+            patch.setattr(ground_experiments, name, value)
         return by_name(NAMES, tmp_path_factory.mktemp("ground"))
 
 
@@ -49,12 +44,11 @@ def test_computed_torque_stands_only_if_it_knows_the_contacts(found):
 
 
 def test_rolls_that_help_against_pushes_from_the_side_would_be_found():
-    def paths(largest):
-        still = np.zeros((2, 17))
-        return {i: SimpleNamespace(fell=i > largest, qpos=still) for i in ground_control.IMPULSES}
+    def judged(free, held):
+        taken = {("servo", "sideways"): free, (ground_experiments.ROLL_HELD, "sideways"): held}
+        return ground_experiments.judge_roll(taken).verdict
 
-    assert ground_control.judge_roll(paths(0.5), paths(0.3)).verdict == "reproduced"
-    assert ground_control.judge_roll(paths(0.3), paths(0.3)).verdict == "differs"
+    assert (judged(0.5, 0.3), judged(0.3, 0.3)) == ("reproduced", "differs")
 
 
 def test_the_gaits_of_the_tables_fall_in_every_reading(found):

@@ -8,11 +8,10 @@ from test_ground_experiments import carried
 
 from humanoid_mjx.reproduction import (
     Finding,
-    drives,
     errata,
     gains,
     ground,
-    ground_gaits,
+    ground_experiments,
     motor_sizing,
     postures,
     reproduce,
@@ -161,20 +160,20 @@ def test_gaits_that_walk_and_turn_are_reproduced():
     straight, turned = walk(), walk(30.0)
     played = {
         trial: turned if trial.motion == "sudden_turn" and trial.same_yaw else straight
-        for trial in ground_gaits.printed_trials()
+        for trial in ground_experiments.printed_trials()
     }
     level = {id(path): ground.balanced(path) for path in (straight, turned)}
     inside = {trial: level[id(path)] for trial, path in played.items()}
-    found = [f for f in ground_gaits.on_tables(played, inside) if f.printed is not None]
+    found = [f for f in ground_experiments.on_tables(played, inside) if f.printed is not None]
     assert len(found) == 5 and {f.verdict for f in found} == {"reproduced"}
     fallen = {trial: path._replace(fell=True) for trial, path in played.items()}
-    again = [f for f in ground_gaits.on_tables(fallen, inside) if f.printed is not None]
+    again = [f for f in ground_experiments.on_tables(fallen, inside) if f.printed is not None]
     assert [f.verdict for f in again] == ["differs", "reproduced", "differs", "reproduced", "differs"]
 
 
 def test_going_back_is_no_walk():
     paths = walk(), walk(speed=-0.3), walk(30, 0.0)
-    assert [ground_gaits.walks(path) for path in paths] == [True, False, False]
+    assert [ground_experiments.walks(path) for path in paths] == [True, False, False]
 
 
 def test_dynamics_are_involved_unless_the_mass_changes_nothing():
@@ -213,11 +212,11 @@ def test_critical_damping_is_the_fastest_without_overshoot(monkeypatch):
 
 
 def test_tracking_without_the_interaction_has_a_verdict_where_no_rotor_decides_it():
-    good = np.zeros((len(drives.ROTORS), len(drives.HIGH)))
-    assert drives.judge_tracking(good).verdict == "reproduced"
-    assert drives.judge_tracking(good + 1.0).verdict == "differs"
-    some = good + np.arange(len(drives.HIGH))
-    assert drives.judge_tracking(some).verdict == "finding" and "4 track" in drives.judge_tracking(some).why
+    good = np.zeros((len(robustness.ROTORS), len(robustness.HIGH)))
+    assert robustness.judge_tracking(good).verdict == "reproduced"
+    assert robustness.judge_tracking(good + 1.0).verdict == "differs"
+    some = good + np.arange(len(robustness.HIGH))
+    assert robustness.judge_tracking(some).verdict == "finding" and "4 track" in robustness.judge_tracking(some).why
 
 
 def test_gains_against_their_bound():
