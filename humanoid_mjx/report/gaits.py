@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Column, Table
 
-from humanoid_mjx.evaluation.gait.figures import FIGURES, Gait, Summary
+from humanoid_mjx.evaluation.gait.figures import FIGURES, Gait
 
 COLUMNS = (
     ("upright", "success", "z.0%", True),
@@ -33,7 +33,7 @@ def gait_table(title: str, gaits: Sequence[Gait], beyond: Sequence[str] = ()) ->
     table = Table("command", *columns, title=title, title_justify="left", padding=(0, 0), pad_edge=False)
     for gait in (gait for gait in gaits if gait.agent == "greedy"):
         ways = {"forward": "left" if gait.command[1] else "forward"}
-        cells = (_cell(gait.figures[ways.get(name, name)], form, ends) for _, name, form, ends in COLUMNS)
+        cells = (_cell(gait, ways.get(name, name), form, ends) for _, name, form, ends in COLUMNS)
         table.add_row(gait.scenario + " *" * (gait.scenario in beyond), *cells)
     return table
 
@@ -44,18 +44,16 @@ def meanings() -> dict[str, str]:
     return {heading: FIGURES[name].meaning for heading, (_, name, *_) in zip(in_line, COLUMNS, strict=True)}
 
 
-def _cell(summary: Summary, form: str, ends: bool) -> str:
+def _cell(gait: Gait, name: str, form: str, ends: bool) -> str:
+    summary, better = gait.figures[name], FIGURES[name].better
     if not np.isfinite(summary.median):
         return ""
-    value, (first, *others) = _short(summary.median, form), summary.seeds
+    first, *others = summary.seeds
     # The worst training seed; of a single one the unfavourable end of the interval over its episodes.
-    end = summary.worst if others else first.low if summary.better > 0 else first.high
-    return f"{value} ({_short(end, form)})" if ends else value
-
-
-def _short(value: float, form: str) -> str:
-    """A number without the 0 before its point."""
-    return re.sub(r"^(-?)0\.", r"\1.", format(value, form))
+    end = summary.worst if others else first.low if better > 0 else first.high
+    # Numbers without the 0 before their point.
+    value, end = (re.sub(r"^(-?)0\.", r"\1.", format(x, form)) for x in (summary.median, end))
+    return f"{value} ({end})" if ends else value
 
 
 def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:
@@ -73,9 +71,8 @@ def remarks(gaits: Sequence[Gait], beyond: Sequence[str]) -> list[str]:
         turn, success = gait.figures["turn_seconds"], gait.figures["turn_success"]
         if gait.agent == "greedy" and np.isfinite(success.median):
             took = f", in {turn.median:.2f} s" if np.isfinite(turn.median) else ""
-            lines.append(
-                f"{gait.scenario}: 45 degrees within 1.5 s in {_cell(success, 'z.0%', True)} of episodes{took}"
-            )
+            share = _cell(gait, "turn_success", "z.0%", ends=True)
+            lines.append(f"{gait.scenario}: 45 degrees within 1.5 s in {share} of episodes{took}")
     for agent in dict.fromkeys(gait.agent for gait in gaits if gait.agent != "greedy"):
         upright = np.mean([gait.figures["success"].median for gait in gaits if gait.agent == agent])
         lines.append(f"The {agent} agent stays upright in {upright:.0%} of episodes.")

@@ -136,8 +136,6 @@ class Summary(NamedTuple):
     """Over the training seeds."""
     worst: float
     """The least favourable of the training seeds; NaN for a figure of which neither more nor less is better."""
-    better: int
-    """As `Figure.better`."""
 
     def as_json(self) -> dict[str, Any]:
         """The figure as plain values: of the seeds [value, low, high] each; None in the place of NaN."""
@@ -177,7 +175,7 @@ def summarised(episodes: Mapping[str, Float[np.ndarray, "seeds episodes"]]) -> d
         median, worst = np.nan, np.nan
         if len(sure):
             median, worst = np.median(sure), {1: sure.min(), -1: sure.max(), 0: np.nan}[better]
-        found[name] = Summary(tuple(estimates), float(median), float(worst), better)
+        found[name] = Summary(tuple(estimates), float(median), float(worst))
     return found
 
 

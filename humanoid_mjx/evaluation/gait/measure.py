@@ -71,17 +71,15 @@ def measure(policies: Sequence[StoredPolicy], episodes: int, tell: Callable[[int
     for policy in policies:
         task = json.dumps(resolved(policy.config)["task"], sort_keys=True)
         groups.setdefault((task, jax.tree.structure((policy.learner, policy.policy))), []).append(policy)
-    return [_measure(group, episodes, tell) for group in groups.values()]
-
-
-def _measure(policies: list[StoredPolicy], episodes: int, tell: Callable[[int, int], None]) -> Measured:
-    learner = policies[0].learner
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in policies))
-    task = walking_task(learner.task)
-    scenarios = scenarios_of(task.robot)
-    found = play_scenarios(learner, stacked, scenarios, episodes, float(task.duration), AGENTS, tell)
-    beyond = [each.name for each in scenarios if _beyond(task, each)]
-    return Measured(policies, gaits_of(found, scenarios), beyond)
+    found = []
+    for group in groups.values():
+        learner, task = group[0].learner, walking_task(group[0].learner.task)
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in group))
+        scenarios = scenarios_of(task.robot)
+        played = play_scenarios(learner, stacked, scenarios, episodes, float(task.duration), AGENTS, tell)
+        beyond = [each.name for each in scenarios if _beyond(task, each)]
+        found.append(Measured(group, gaits_of(played, scenarios), beyond))
+    return found
 
 
 def _beyond(task: Any, scenario: Scenario) -> bool:

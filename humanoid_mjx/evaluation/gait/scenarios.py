@@ -66,12 +66,8 @@ def scenarios_of(robot: Robot) -> tuple[Scenario, ...]:
     )
 
 
-class _Commands(NamedTuple):
-    """Scenarios as data of a program."""
-
-    command: Float[Array, "*scenarios 3"]
-    turn_at: Float[Array, "*scenarios"]
-    turn_by: Float[Array, "*scenarios"]
+Turning = tuple[Float[Array, "3"], FloatScalar, FloatScalar]
+"""`command`, `turn_at` and `turn_by` of a `Scenario`."""
 
 
 class _Loop(NamedTuple):
@@ -129,7 +125,7 @@ def play_scenarios(
     rows = np.array([seed for _, seed in chosen])
     policies = jax.tree.map(lambda leaf: jnp.asarray(leaf)[rows], policies)
     numbers = jnp.array([AGENTS.index(name) for name, _ in chosen], jnp.int32)
-    commands = _Commands(*(jnp.array(column, float) for column in list(zip(*scenarios, strict=True))[1:]))
+    commands = tuple(jnp.array(column, float) for column in list(zip(*scenarios, strict=True))[1:])
     side_by_side = len(chosen) * len(scenarios)
     block = min(episodes, max(task.simulator.batch // side_by_side, 1))
     keys = held_out_keys(-(-episodes // block) * block)
@@ -157,13 +153,13 @@ def _program(arithmetic: Arithmetic) -> Callable[..., dict[str, Array]]:
     """(learner, policies, agents' numbers, commands, keys, decisions) -> figures by name, (agents, commands, keys)."""
 
     def episode(
-        learner: Learner, policy: Any, number: IntScalar, command: _Commands, key: Key[Array, ""], decisions: IntScalar
+        learner: Learner, policy: Any, number: IntScalar, command: Turning, key: Key[Array, ""], decisions: IntScalar
     ) -> dict[str, FloatScalar]:
         task = walking_task(learner.task)
         decide = partial(_decide, task, agent(learner, policy, number), command, key)
         loop = jax.lax.fori_loop(0, decisions, decide, _begin(task, key))
-        turns, mass = jnp.isfinite(command.turn_at), (loop.state.data.plant or task.plant).mass
-        found = figures(loop.tally, command.command, turns, loop.fallen, task.robot, mass, task.simulator.step_s)
+        turns, mass = jnp.isfinite(command[1]), (loop.state.data.plant or task.plant).mass
+        found = figures(loop.tally, command[0], turns, loop.fallen, task.robot, mass, task.simulator.step_s)
         return {name: jnp.asarray(value, jnp.float32) for name, value in found.items()}
 
     for mapped in ([4], [3], [1, 2]):
@@ -184,15 +180,15 @@ def _begin(task: LeggedTask, key: Key[Array, ""]) -> _Loop:
 
 
 def _decide(
-    task: LeggedTask, choose: Choose, command: _Commands, key: Key[Array, ""], index: IntScalar, loop: _Loop
+    task: LeggedTask, choose: Choose, command: Turning, key: Key[Array, ""], index: IntScalar, loop: _Loop
 ) -> _Loop:
     """Decision number `index` of one episode."""
-    seconds = index * task.period
+    seconds, (staying, turn_at, turn_by) = index * task.period, command
     heading = loop.tally.turned + wrapped(heading_of(loop.view.rotation) - loop.tally.last.heading)
-    begun = jnp.asarray(seconds > command.turn_at - task.period / 2)
-    goal = jnp.where(begun & jnp.isnan(loop.goal), heading + command.turn_by, loop.goal)
+    begun = jnp.asarray(seconds > turn_at - task.period / 2)
+    goal = jnp.where(begun & jnp.isnan(loop.goal), heading + turn_by, loop.goal)
     rate = jnp.clip(TURN_GAIN * (goal - heading), -TURN_RATE, TURN_RATE)
-    asked = command.command.at[2].set(jnp.where(begun, rate, command.command[2]))
+    asked = staying.at[2].set(jnp.where(begun, rate, staying[2]))
     state = task.commanded(loop.state, loop.view, asked)
     act_key, step_key = decision_keys(key, index)
     state, view, sensed = task.step_watched(state, task.as_numbers(choose(state, act_key)), step_key)
@@ -201,7 +197,7 @@ def _decide(
     window = sums.window_samples(task.gait.period if task.gait else None, interval)
 
     def add(tally: Tally, sensed: Any) -> tuple[Tally, None]:
-        since = (tally.samples * interval - command.turn_at).astype(jnp.float32)
+        since = (tally.samples * interval - turn_at).astype(jnp.float32)
         sample = sample_of(sensed, task.simulator.body_names, task.robot, loop.state.data.terrain)
         return sums.add(tally, sample, Asked(asked, goal, since), window, interval, task.robot), None
 
