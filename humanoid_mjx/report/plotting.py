@@ -169,14 +169,20 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
     x = x or rows.counter
     if rows.columns[y].dtype.kind not in "biuf":
         raise InputError(f"--y {y}: this column holds words; choose one that holds numbers.")
-    rows = rows._replace(columns=_known(rows.columns, [name for name in (x, by) if name]))
-    if not len(rows.columns["point"]):
-        raise InputError(f"plot: no row has a number for {' and '.join(name for name in (x, by) if name)}.")
+    kept = np.ones(len(rows.columns["point"]), bool)
+    for name in filter(None, (x, by)):
+        kept &= np.isfinite(rows.columns[name]) if rows.columns[name].dtype.kind == "f" else True
+    if not kept.any():
+        raise InputError(f"plot: no row has a number for {' and '.join(filter(None, (x, by)))}.")
+    rows = rows._replace(columns={name: values[kept] for name, values in rows.columns.items()})
     parts = [part.replace(".", "_") for part in (y, "over", x, *(("by", by) if by else ()))]
     target = out or paths[0] / "figures" / f"{'_'.join(parts)}.png"
     across = _across(rows, x)
     others = [axis for axis in axes if axis not in (x, by)] if across.joined else []
-    words = _seeds(rows, "seed" in (x, by), "band" if across.joined else "bar")
+    runs = [rows.columns["seed"][rows.columns[RUN] == run] for run in rows.runs]
+    counts = sorted({len(np.unique(seeds)) for seeds in runs if len(seeds)})
+    seeds = 1 if "seed" in (x, by) else counts[0] if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    words = over_seeds(seeds, "band" if across.joined else "bar")
     words += ", over all values of the other parameters" * bool(others)
     each = "" if across.joined else "each point of the sweep, "
     with figure(target, 1, 1, (6.4, 4.2), f"{', '.join(rows.runs)}: {each}{words}") as (_, panels):
@@ -190,22 +196,6 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
         panel.set_xlabel(NAMES.get(x, x))
         panel.set_ylabel(NAMES.get(y, y))
     return target, left_out
-
-
-def _seeds(rows: Rows, apart: bool, shape: str) -> str:
-    """Meaning of lines and intervals over the seeds of each run; `apart`: where a line or a place is of one seed."""
-    runs = [rows.columns["seed"][rows.columns[RUN] == run] for run in rows.runs]
-    counts = sorted({len(np.unique(seeds)) for seeds in runs if len(seeds)})
-    return over_seeds(1 if apart else counts[0] if len(counts) == 1 else f"{counts[0]} to {counts[-1]}", shape)
-
-
-def _known(columns: dict[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
-    """The rows in which the numbers of some columns are known."""
-    kept = np.ones(len(columns["point"]), bool)
-    for name in names:
-        if columns[name].dtype.kind == "f":
-            kept &= np.isfinite(columns[name])
-    return {name: values[kept] for name, values in columns.items()}
 
 
 def _draw(panel: Any, rows: Rows, across: Across, x: str, y: str, by: str | None) -> list[str]:

@@ -10,6 +10,7 @@ from functools import lru_cache
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -31,77 +32,60 @@ MARGIN = 10
 """pixels"""
 
 
-def letter_of(height: int) -> int:
-    """Height of a letter on a picture of so many pixels from top to bottom."""
-    return max(9, height // 26)
-
-
 def annotate(frame: Frame, film: Film, scene: Scene, number: int, seconds: float, clock: bool = True) -> Frame:
     """A frame of a film with its words and arrows, and the time if a `clock` is wanted."""
     image = Image.fromarray(frame)
-    draw = ImageDraw.Draw(image)
     width, height = image.size
-    letter = letter_of(height)
+    draw, letter = ImageDraw.Draw(image), max(9, height // 26)
     for push in film.pushes:
         if push.start <= seconds + 1e-9 < push.start + push.shown:
-            _draw_push(draw, push, scene, number, (width, height))
+            _draw_push(draw, letter, push, scene, number, (width, height))
     if film.title:
-        title = _fitting(film.title, width - 2 * MARGIN - 5 * letter, letter, bold=True)
-        _write(draw, (MARGIN, MARGIN), title, "la", letter, bold=True)
+        room = width - 2 * MARGIN - 5 * letter
+        _write(draw, letter, (MARGIN, MARGIN), film.title, "la", bold=True, room=room)
     if clock:
-        _write(draw, (width - MARGIN, MARGIN), f"{seconds:.2f} s", "ra", letter)
+        _write(draw, letter, (width - MARGIN, MARGIN), f"{seconds:.2f} s", "ra")
     if words := film.asked(seconds):
-        words = _fitting(words, width - 2 * MARGIN, letter, bold=False)
-        _write(draw, (MARGIN, height - MARGIN), words, "ld", letter)
+        _write(draw, letter, (MARGIN, height - MARGIN), words, "ld", room=width - 2 * MARGIN)
     return np.asarray(image)
 
 
-def _draw_push(draw: ImageDraw.ImageDraw, push: Push, scene: Scene, number: int, size: tuple[int, int]) -> None:
+def _draw_push(draw: Any, letter: int, push: Push, scene: Scene, number: int, size: tuple[int, int]) -> None:
     """An arrow whose head is at the torso."""
-    camera = make_camera(size[1])
-    torso = scene.torso[number]
+    camera, torso = make_camera(size[1]), scene.torso[number]
     direction = push.force / np.linalg.norm(push.force)
     ends = np.stack([torso - scene.arrow * direction, torso])
     tail, head = camera.seen(ends, camera.place(scene.middle[number], scene.distance), size)
     along = (head - tail) / max(float(np.linalg.norm(head - tail)), 1e-6)
     across = np.array([-along[1], along[0]])
-    barbs = [head, head - 14 * along + 7 * across, head - 14 * along - 7 * across]
-    draw.line([_pixel(tail), _pixel(head - 10 * along)], fill=ALARM, width=4)
-    draw.polygon([_pixel(point) for point in barbs], fill=ALARM)
-    letter = letter_of(size[1])
+    barbs = np.stack([head, head - 14 * along + 7 * across, head - 14 * along - 7 * across])
+    draw.line([*tail.tolist(), *(head - 10 * along).tolist()], fill=ALARM, width=4)
+    draw.polygon(barbs.ravel().tolist(), fill=ALARM)
     # Behind the tail, so that the words cover neither arrow nor robot.
     anchor, ahead = ("r", 1.0) if along[0] > 0.5 else ("l", 0.0) if along[0] < -0.5 else ("m", 0.5)
     length = _font(letter, False).getlength(push.words)
     low, high = MARGIN + ahead * length, size[0] - MARGIN - (1.0 - ahead) * length
-    place = np.clip(tail - letter * along, [low, 40], [max(low, high), size[1] - 40])
-    _write(draw, _pixel(place), push.words, f"{anchor}m", letter, ALARM)
-
-
-def _pixel(point: Float[np.ndarray, "2"]) -> tuple[float, float]:
-    return float(point[0]), float(point[1])
+    x, y = np.clip(tail - letter * along, [low, 40], [max(low, high), size[1] - 40]).tolist()
+    _write(draw, letter, (x, y), push.words, f"{anchor}m", ALARM)
 
 
 def _write(
-    draw: ImageDraw.ImageDraw,
+    draw: Any,
+    letter: int,
     place: tuple[float, float],
     text: str,
     anchor: str,
-    letter: int,
     color: tuple[int, int, int] = INK,
     bold: bool = False,
+    room: float = np.inf,
 ) -> None:
-    """Text with a white rim, readable on everything."""
-    draw.text(place, text, color, _font(letter, bold), anchor, stroke_width=2, stroke_fill=(255, 255, 255))
-
-
-def _fitting(text: str, width: float, letter: int, bold: bool) -> str:
-    """A text, its end cut off where it is wider than so many pixels."""
+    """Text with a white rim, readable on everything, its end cut off where it is wider than `room`, pixels."""
     line, font = " ".join(text.split()), _font(letter, bold)
-    if font.getlength(line) <= width:
-        return line
-    while line and font.getlength(line + "…") > width:
-        line = line[:-1]
-    return line + "…"
+    if font.getlength(line) > room:
+        while line and font.getlength(line + "…") > room:
+            line = line[:-1]
+        line += "…"
+    draw.text(place, line, color, font, anchor, stroke_width=2, stroke_fill=(255, 255, 255))
 
 
 @lru_cache
