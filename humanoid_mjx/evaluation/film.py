@@ -72,8 +72,8 @@ class Film(NamedTuple):
         return next((words for start, words in reversed(self.told) if start <= seconds + 1e-9), "")
 
 
-def film_of(trained: StoredPolicy, played: Played, title: str | None = None) -> Film:
-    """The film of a played episode. `title` is by default the policy's name.
+def film_of(trained: StoredPolicy, played: Played, title: str) -> Film:
+    """The film of a played episode.
 
     Raises:
       InputError: the policy's task moves no robot, or its states hold no World.
@@ -85,7 +85,6 @@ def film_of(trained: StoredPolicy, played: Played, title: str | None = None) -> 
         words = in_words(values)
         if words and (not told or told[-1][1] != words):
             told.append((number * period, words))
-    title = trained.name if title is None else title
     film = Film(model, qpos, step_s, title, tuple(told), tuple(merged(played.pushes, period)))
     terrain = getattr(played.states[0], "terrain", None)
     return film if terrain is None else _level(film, jax.tree.map(float, terrain), trained)

@@ -86,11 +86,6 @@ def draw_band(
     return Line(float(middle[-1]), left_out)
 
 
-def draw_bar(panel: Any, place: float, seeds: Float[np.ndarray, " seeds"], color: Any, name: str, **look: Any) -> None:
-    """Draw the median of a measure over seeds at a place, with a bar for its interval."""
-    draw_band(panel, np.array([place]), seeds[:, None], color, joined=False, within=possible(name), **look)
-
-
 def draw_line(
     panel: Any,
     x: np.ndarray,

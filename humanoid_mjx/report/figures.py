@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.report.drawing import COUNTED, CURVES, HEAT_MAPS, TERMS, draw_band, draw_bar, over_seeds, possible
+from humanoid_mjx.report.drawing import COUNTED, CURVES, HEAT_MAPS, TERMS, draw_band, over_seeds, possible
 from humanoid_mjx.report.parameters import draw_importance, draw_parallel, draw_points, heat_maps
 from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades
 from humanoid_mjx.runs.curves import Learning, read_learning
@@ -205,10 +205,11 @@ def draw_greedy(learning: Learning, name: str, panel: Any, axis_name: str | None
     """One panel of greedy episodes after training, by the values of a parameter; returns as `draw_curves`."""
     values = learning.finals(name)
     lines = _drawn(learning, axis_name, np.zeros((0, 0)) if values is None else values)
+    bar = partial(draw_band, panel, joined=False, within=possible(name))
     for place, (_, color, best, mean) in enumerate(lines):
-        draw_bar(panel, place, best, color, name, fmt="o")
+        bar(np.array([place]), best[:, None], color, fmt="o")
         if mean is not None:
-            draw_bar(panel, place + 0.25, mean, color, name, fmt="D", markerfacecolor="white", alpha=0.8)
+            bar(np.array([place + 0.25]), mean[:, None], color, fmt="D", markerfacecolor="white", alpha=0.8)
     labels = [label for label, *_ in lines]
     crowded = len("".join(labels)) > 36
     panel.set_xticks(range(len(lines)), labels, rotation=45 if crowded else 0, ha="right" if crowded else "center")

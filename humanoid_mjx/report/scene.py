@@ -233,15 +233,12 @@ def film_data(film: Film) -> dict[str, Any]:
 
 def poses(places: Float[np.ndarray, "shapes 3"], turns: Float[np.ndarray, "shapes 3 3"]) -> list[list[float]]:
     """Positions and quaternions, side by side."""
-    return [[*rounded(place), *rounded(_quaternion(turn))] for place, turn in zip(places, turns, strict=True)]
+    quaternions = np.empty((len(turns), 4))
+    for quaternion, turn in zip(quaternions, turns, strict=True):
+        mujoco.mju_mat2Quat(quaternion, turn.reshape(-1))
+    return [[*rounded(place), *rounded(turn)] for place, turn in zip(places, quaternions, strict=True)]
 
 
 def rounded(values: Iterable[float]) -> list[float]:
     """To a tenth of a millimetre, or what turns a leg's end by as much."""
     return [round(float(value), 4) for value in values]
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, rotation.reshape(-1))  # pyright: ignore[reportAttributeAccessIssue]
-    return quaternion

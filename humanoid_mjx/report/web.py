@@ -51,7 +51,8 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[object]], *, caption:
     """A table of texts and numbers, which the reader can sort. Columns of numbers alone are set to the right."""
     cells = [[str(cell) for cell in row] for row in rows]
     right = [all(_NUMBER.fullmatch(row[i]) for row in cells) and bool(cells) for i in range(len(headings))]
-    head = "".join(f"<th{_side(r)} scope=col>{_heading(text)}</th>" for text, r in zip(headings, right, strict=True))
+    may_break = (re.sub(r"([._])", r"\1<wbr>", escape(words)) for words in headings)  # as in learner.epsilon_decay
+    head = "".join(f"<th{_side(r)} scope=col>{words}</th>" for words, r in zip(may_break, right, strict=True))
     body = "".join(
         "<tr>" + "".join(f"<td{_side(r)}>{escape(text)}</td>" for text, r in zip(row, right, strict=True)) + "</tr>"
         for row in cells
@@ -94,11 +95,6 @@ def link(words: str, address: str, file: str = "") -> str:
 def text(words: str, kind: str = "p") -> str:
     """A paragraph, or another element, of plain text."""
     return f"<{kind}>{escape(words)}</{kind}>"
-
-
-def _heading(words: str) -> str:
-    """A heading of a column, which may break after a dot or an underscore, as in learner.epsilon_decay."""
-    return re.sub(r"([._])", r"\1<wbr>", escape(words))
 
 
 def _side(right: bool) -> str:

@@ -110,17 +110,13 @@ def read_runs(out: Path) -> list[dict[str, Any]]:
 def _setting(experiment: Experiment, out: Path, overrides: Sequence[str], named: bool) -> Setting:
     """The experiment's config with the overrides; those of keys it lacks are errors only where it was named."""
     config = dict(experiment.config)
+    keys = [f"{part}.{name}" for part, values in config.items() for name in values]
     for override in overrides:
-        key = override.partition("=")[0]
-        part: Any = config
-        for piece in key.split("."):
-            part = part.get(piece) if isinstance(part, dict) else None
-        if part is None and "=" in override:
-            if named:
-                keys = [f"{a}.{b}" for a, bs in config.items() for b in (bs if isinstance(bs, dict) else ())]
-                raise InputError(f"--set {override}: {experiment.name} has no {key}; {known(key, keys or ['none'])}.")
-            continue
-        apply_override(config, override)
+        key, sign, _ = override.partition("=")
+        if key in (*config, *keys) or not sign:
+            apply_override(config, override)
+        elif named:
+            raise InputError(f"--set {override}: {experiment.name} has no {key}; {known(key, keys or ['none'])}.")
     return Setting(config, out, name=experiment.name)
 
 

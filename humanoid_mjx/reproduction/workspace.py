@@ -93,18 +93,14 @@ def workspace(name: str, setting: Setting) -> Iterator[Finding]:
     ranges = thesis.QUINTIC_RANGES, thesis.JOINT_RANGES["proposed"]
     own, cloud = (_cloud(lengths.values(), name, each) for each in ranges)
     _draw(setting, name, lengths.values(), path, own, cloud)
-    yield _extents(name, path, lengths)
-    if name in SHAPES:
-        yield SHAPES[name](name, cloud, lengths)
-
-
-def _extents(name: str, path: np.ndarray, lengths: dict[str, float]) -> Finding:
     marks = np.sort(np.array(thesis.WORKSPACE[name]), axis=0)
     extent = np.stack([path.min(axis=0), path.max(axis=0)])
     quantity = f"{name}: from where to where the toe's path reaches along x, y and z, m"
     why = "the text says that the reach varies from one triple to the other; they are the path's two ends "
     why += f"(workspace-7b), not its extents, which differ by up to {1e3 * np.abs(extent - marks).max():.0f} mm"
-    return compare(quantity, marks, extent, TOLERANCE_M, why, 4, values=(lengths, PRINTED_LENGTHS))
+    yield compare(quantity, marks, extent, TOLERANCE_M, why, 4, values=(lengths, PRINTED_LENGTHS))
+    if name in SHAPES:
+        yield SHAPES[name](name, cloud, lengths)
 
 
 def _hemisphere(name: str, cloud: np.ndarray, lengths: dict[str, float]) -> Finding:

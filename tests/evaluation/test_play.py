@@ -121,7 +121,7 @@ def test_a_task_of_ones_own_is_played(tmp_path):
     learner = {"name": "deep_q", "width": 8, "envs": 4, "rollout": 4, "evaluation_envs": 2}
     trained = find_policy(run(tmp_path / "own", {"name": "sway:Sway"}, learner=learner, total_steps=32))
     played = play(trained)
-    film = film_of(trained, played)
+    film = film_of(trained, played, trained.name)
     assert film.step_s == 0.04 and len(film.qpos) == 11
     np.testing.assert_allclose(film.qpos[-1], played.states[-1]["robot"][0].qpos)
     assert film.asked(0.0) == "lean 0.10 rad" and film.asked(0.39) == "lean 0.20 rad"

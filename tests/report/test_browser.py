@@ -97,9 +97,7 @@ def test_tables_sort_and_curves_say_their_values(tmp_path):
     learned = of_rows(results, ["learner.epsilon"])
     (figure,) = [each for each in curved(learned) if each.title == CURVES["steps"]]
     rows = [("x", "10"), ("y", "9.5 (1 to 20)"), ("z", "1e2")]
-    body = contents(["A table"]) + section(
-        "A table", table(("name", "n"), rows), *_row(["learner.epsilon"], figure)
-    )
+    body = contents(["A table"]) + section("A table", table(("name", "n"), rows), *_row(["learner.epsilon"], figure))
     file = tmp_path / "page.html"
     file.write_text(page("t", body))
     column = "[...document.querySelectorAll('tbody tr')].map(row => row.cells[0].textContent).join('')"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_sweep import of_rows
 
-from humanoid_mjx.report.drawing import CURVES, HEAT_MAPS, draw_bar
+from humanoid_mjx.report.drawing import CURVES, HEAT_MAPS, draw_band, possible
 from humanoid_mjx.report.figures import averaged, curved, draw_curves, draw_greedy, mapped, parameters
 from humanoid_mjx.report.parameters import draw_map, draw_parallel, local_mean
 from humanoid_mjx.runs.ranking import by_point, compared
@@ -64,7 +64,8 @@ def test_a_value_has_its_best_setting_and_the_mean_over_all(panel):
     ],
 )
 def test_a_band_ends_where_values_are_impossible(panel, measure, seeds, ends):
-    draw_bar(panel, 0.0, np.array(seeds), "black", measure)
+    within = possible(measure)
+    draw_band(panel, np.zeros(1), np.array(seeds)[:, None], "black", joined=False, within=within)
     ((_, low), (_, high)) = panel.containers[0].lines[2][0].get_segments()[0]
     assert [low, high] == pytest.approx(ends)
 
