@@ -28,7 +28,7 @@ from walk_worlds import PLAIN, walked
 import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.config import load
-from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
+from humanoid_mjx.evaluation.gait.scenarios import settings_of, trained_seeds
 from humanoid_mjx.evaluation.gait.tally import heading_of
 from humanoid_mjx.evaluation.policy import StoredPolicy, in_world
 from humanoid_mjx.mechanics.rotations import rotation_matrix

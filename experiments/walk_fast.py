@@ -18,8 +18,7 @@ from walk_worlds import walked
 
 import humanoid_mjx
 from humanoid_mjx import compute
-from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, walking_task
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, settings_of, trained_seeds, walking_task
 from humanoid_mjx.evaluation.policy import in_world
 
 SPEEDS = 0.3, 0.5, 0.65, 0.8, 1.0, 1.2, 1.4, 1.6

@@ -24,7 +24,7 @@ from walk_worlds import PLAIN
 import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.evaluation.evaluate import held_out_keys
-from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
+from humanoid_mjx.evaluation.gait.scenarios import settings_of, trained_seeds
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, in_world
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import greedy, rollout

@@ -22,8 +22,15 @@ import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.control.drives import Drive
 from humanoid_mjx.control.pd import Joints
-from humanoid_mjx.evaluation.gait.measure import settings_of, trained_seeds
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_scenarios, scenarios_of, walking_task
+from humanoid_mjx.evaluation.gait.scenarios import (
+    Scenario,
+    gaits_of,
+    play_scenarios,
+    scenarios_of,
+    settings_of,
+    trained_seeds,
+    walking_task,
+)
 from humanoid_mjx.evaluation.policy import StoredPolicy, in_world
 from humanoid_mjx.physics.base import Readings
 from humanoid_mjx.physics.sensors import Sensors, SensorState

@@ -81,7 +81,7 @@ def _gaits(
 ) -> dict[str, Any]:
     """Print how policies walk under commands; the same as plain values."""
     from humanoid_mjx.evaluation.gait.figures import FIGURES
-    from humanoid_mjx.evaluation.gait.measure import measure, settings_of, trained_seeds
+    from humanoid_mjx.evaluation.gait.scenarios import measure, settings_of, trained_seeds
     from humanoid_mjx.evaluation.policy import in_worlds, played_by
     from humanoid_mjx.report.gaits import gait_table, meanings, remarks
 

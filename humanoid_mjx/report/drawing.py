@@ -1,6 +1,6 @@
 """Lines with intervals, and the names of what is drawn."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Num
@@ -32,15 +32,6 @@ def over_seeds(count: int | str, shape: str = "band") -> str:
     return "1 seed" if count == 1 else f"median over {count} seeds, {shape}: its 95 % interval"
 
 
-class Line(NamedTuple):
-    """A line as it was drawn."""
-
-    end: float
-    """Its last value; NaN where nothing is drawn."""
-    left_out: int
-    """Number of places left out because only some of the seeds have a number there."""
-
-
 def possible(name: str) -> tuple[float, float]:
     """The least and the greatest possible value of a measure: success is a share, and steps are counted."""
     least = 0.0 if name.endswith("success") or name in ("steps", "whole_steps", "greedy_steps") else -np.inf
@@ -57,7 +48,7 @@ def draw_band(
     joined: bool = True,
     within: tuple[float, float] = (-np.inf, np.inf),
     **look: Any,
-) -> Line:
+) -> tuple[float, int]:
     """Draw the median over seeds and its 95 % interval where every seed that has any number has one.
 
     Args:
@@ -67,13 +58,17 @@ def draw_band(
       joined: whether to draw a line through the places; else each has a bar for its interval.
       within: the possible values.
       look: how the line looks, such as `linestyle`.
+
+    Returns:
+      the last value of the line, NaN where nothing is drawn; and the number of places left out because only some of the
+      seeds have a number there.
     """
     known = np.isfinite(curves)
     curves, known = curves[known.any(axis=1)], known[known.any(axis=1)]
     shown = known.all(axis=0) & bool(len(known))
     left_out = int((known.any(axis=0) & ~shown).sum())
     if not shown.any():
-        return Line(float("nan"), left_out)
+        return float("nan"), left_out
     at, middle = x[shown], np.median(curves[:, shown], axis=0)
     low, high = interval(curves[:, shown], *within) if band else (middle, middle)
     if joined:
@@ -83,7 +78,7 @@ def draw_band(
     else:
         look = {"fmt": "o", "markersize": 3, "elinewidth": 0.8} | look
         panel.errorbar(at, middle, yerr=np.maximum([middle - low, high - middle], 0.0), color=color, **look)
-    return Line(float(middle[-1]), left_out)
+    return float(middle[-1]), left_out
 
 
 def draw_line(
@@ -95,8 +90,8 @@ def draw_line(
     *,
     place: np.ndarray | None = None,
     **look: Any,
-) -> Line:
-    """Draw one line with its band from rows of a table: the value of a seed at a place is the mean of its rows.
+) -> tuple[float, int]:
+    """Draw one line as `draw_band` does from rows of a table: the value of a seed at a place is the mean of its rows.
 
     Args:
       x: (rows,) of numbers.

@@ -192,7 +192,7 @@ def draw_curves(learning: Learning, name: str, panel: Any, axis_name: str | None
         if mean is not None:
             draw_band(panel, x, mean, color, **dashed)
     for label, color, best, _ in lines:
-        ends[label] = draw_band(panel, x, best, color, within=possible(name), label=label).end
+        ends[label] = draw_band(panel, x, best, color, within=possible(name), label=label)[0]
     if learning.axes:
         label_lines(panel, None if axis_name else ", ".join(axis.rpartition(".")[2] for axis in learning.axes))
     count_axis(panel)
@@ -223,7 +223,7 @@ def draw_terms(learning: Learning, names: Sequence[str], panel: Any, _: str | No
     """One panel of columns, a line for each, the mean over all points; returns as `draw_curves`."""
     looks = product(("-", "--", ":"), COLORS)  # colours come again with another dash
     ends = [
-        draw_band(panel, learning.places, mean_known(learning.read(name)), color, label=name, linestyle=dash).end
+        draw_band(panel, learning.places, mean_known(learning.read(name)), color, label=name, linestyle=dash)[0]
         for name, (dash, color) in zip(names, cycle(looks), strict=False)
     ]
     label_lines(panel)

@@ -131,15 +131,6 @@ class Across(NamedTuple):
     """Words below 0, 1, 2 ... where x is no number."""
 
 
-class LineOf(NamedTuple):
-    """The rows of one line, and how it looks."""
-
-    label: str
-    chosen: np.ndarray
-    color: Any
-    style: str
-
-
 def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path | None) -> tuple[Path, list[str]]:
     """Draw a column over another: lines with the 95 % interval over seeds, one for each value of `by` and each run.
 
@@ -204,13 +195,13 @@ def _draw(panel: Any, rows: Rows, across: Across, x: str, y: str, by: str | None
     seed = columns["seed"] if x != "seed" else np.zeros_like(columns["seed"])
     few = len(np.unique(across.x if across.place is None else across.place)) <= MAX_LEVELS
     drawn = []
-    for line in lines:
-        look: dict[str, Any] = {"linestyle": line.style} | ({"marker": "o", "markersize": 3} if few else {})
-        place = None if across.place is None else across.place[line.chosen]
-        at, seeds, values = (each[line.chosen] for each in (across.x, seed, columns[y]))
-        look = (look if across.joined else {}) | {"label": line.label or "_"}
+    for label, chosen, color, style in lines:
+        look: dict[str, Any] = {"linestyle": style} | ({"marker": "o", "markersize": 3} if few else {})
+        place = None if across.place is None else across.place[chosen]
+        at, seeds, values = (each[chosen] for each in (across.x, seed, columns[y]))
+        look = (look if across.joined else {}) | {"label": label or "_"}
         look |= {"place": place, "joined": across.joined, "within": possible(y)}
-        drawn.append(draw_line(panel, at, seeds, values, line.color, **look))
+        drawn.append((label, *draw_line(panel, at, seeds, values, color, **look)))
     _ticks(panel, across, x in (rows.counter, TIME))
     heading = by or (RUN if len(rows.runs) > 1 else "")
     if across.joined and heading:
@@ -218,11 +209,12 @@ def _draw(panel: Any, rows: Rows, across: Across, x: str, y: str, by: str | None
         panel.set_title(NAMES.get(heading, heading))
     elif heading:
         panel.legend(title=heading, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    if all(np.isnan(line.end) for line in drawn):
+    empty = [label for label, end, _ in drawn if np.isnan(end)]
+    if len(empty) == len(drawn):
         raise InputError(f"plot: {y} has nowhere a number for every seed over {x}.")
-    partly = sum(line.left_out for line in drawn)
+    partly = sum(left_out for *_, left_out in drawn)
     notes = [f"Left out for want of a number of every seed: {partly:,} place{'s' * (partly > 1)}."] if partly else []
-    if empty := [line.label for line, done in zip(lines, drawn, strict=True) if np.isnan(done.end)]:
+    if empty:
         notes.append(f"Not drawn for want of a number of every seed: {', '.join(empty)}.")
     return notes
 
@@ -247,8 +239,9 @@ def _across(rows: Rows, x: str) -> Across:
     return Across(values, np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1), True, None)
 
 
-def _lines(rows: Rows, by: str | None) -> list[LineOf]:
-    """The lines of a figure: for each value of `by`, and where there are several runs for each of them."""
+def _lines(rows: Rows, by: str | None) -> list[tuple[str, np.ndarray, Any, str]]:
+    """The lines of a figure, for each value of `by`, and where there are several runs for each of them: label, flags of
+    its rows, colour and style."""
     columns, whole = rows.columns, Levels([""], np.zeros(len(rows.columns["point"]), int))
     apart = find_levels(columns[RUN]) if len(rows.runs) > 1 and by != RUN else whole
     levels = find_levels(columns[by]) if by else whole
@@ -261,7 +254,7 @@ def _lines(rows: Rows, by: str | None) -> list[LineOf]:
         k = i if by else j
         color = shades(len(levels.labels))[i] if ordered else COLORS[k % len(COLORS)]
         style = STYLES[j % len(STYLES)] if by else "-"
-        lines.append(LineOf(", ".join(filter(None, (level, run))), chosen, color, style))
+        lines.append((", ".join(filter(None, (level, run))), chosen, color, style))
     if len(lines) > MAX_LINES:
         raise InputError(f"plot: {len(lines)} lines cannot be told apart; choose another --by, or fewer runs.")
     return lines

@@ -12,7 +12,7 @@ upright.
 
 from collections.abc import Iterator
 from itertools import combinations, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -33,48 +33,33 @@ STEP, UPRIGHT = 0.5, 1e-6
 MOTORS = np.array(thesis.MAX_TORQUES)
 
 
-class Squat(NamedTuple):
-    """Postures of a leg that carries the body, from straight to bent, by the knee's angle."""
-
-    knee: np.ndarray
-    """(n,) degrees"""
-    q: np.ndarray
-    """(n, 5) rad"""
-    torque: np.ndarray
-    """(n, 5) N m"""
-    inside: np.ndarray
-    """(n, 5) True where a joint is in the proposed range of Table 3.2."""
-
-    def largest(self, knee: float) -> np.ndarray:
-        """(5,) The largest torques by size up to an angle of the knee in degrees, N m."""
-        return np.abs(self.torque[self.knee <= knee + 1e-9]).max(axis=0)
-
-
 @experiment("motor-sizing", "The torques to stand and to squat", CONFIG)
 def motor_sizing(setting: Setting) -> list[Finding]:
     weight, deepest = setting.config["load"]["torso"], setting.config["squat"]["knee"]
-    both, one = (squat(weight, legs, deepest) for legs in (2, 1))
-    allowed = float(both.knee[both.inside.all(axis=1)].max())
-    held = float(both.knee[(np.abs(both.torque) <= MOTORS + UPRIGHT).all(axis=1)].max())
+    knee, (low, high) = np.arange(0.0, deepest + STEP / 2, STEP), np.radians(thesis.JOINT_RANGES["proposed"]).T
+    (both, needed), (alone, carrying) = (squat(weight, legs, knee) for legs in (2, 1))
+    inside, inside_alone = ((low - 1e-6 <= q) & (q <= high + 1e-6) for q in (both, alone))
+    allowed = float(knee[inside.all(axis=1)].max())
+    held = float(knee[(needed <= MOTORS + UPRIGHT).all(axis=1)].max())
     carried = f"{body_weight(weight):.1f} N, of which the torso {weight:g} N"
     motion = planned(np.linspace(0.0, thesis.QUINTIC_S, 501))
     swing = np.abs(over(dynamics.inverse_dynamics, Leg.physical(), *motion)).max(axis=0)
-    outside = ", ".join(NAMES[joint] for joint in np.flatnonzero(~one.inside[0]))
+    outside = ", ".join(NAMES[joint] for joint in np.flatnonzero(~inside_alone[0]))
     half = f"each leg carries half of {carried}"
     limit = f"a joint reaches its range, the knee {allowed:g} degrees"
     free = "the leg swings freely, as in the simulation behind the table, with gravity along it; no weight on it"
     straight = f"{half}; the force goes through all axes, but nothing keeps it there"
     bent = f"{half}; the knees hold it only to {held:g} degrees: so small motors would not keep the body up, which is "
     bent += "what chapter 8.1 tells"
-    leans = f"it carries {carried}, and leans by {abs(np.degrees(one.q[0, 2])):.0f} degrees, so that the toe is under "
+    leans = f"it carries {carried}, and leans by {abs(np.degrees(alone[0, 2])):.0f} degrees, so that the toe is under "
     leans += f"the centre of mass, which takes {outside or 'no joint'} out of the proposed ranges"
     return [
         _finding("the planned motion, the torso fixed", swing, free),
-        _finding("standing on two straight legs", both.largest(0.0), straight),
-        _finding(f"squatting on two legs until {limit}", both.largest(allowed), bent),
-        _finding(f"squatting on two legs, the knee {deepest:g} degrees", both.largest(deepest), half),
-        _finding("standing on one straight leg", one.largest(0.0), leans),
-        _finding(f"squatting on one leg, the knee {deepest:g} degrees", one.largest(deepest), f"it carries {carried}"),
+        _finding("standing on two straight legs", needed[0], straight),
+        _finding(f"squatting on two legs until {limit}", needed[knee <= allowed + 1e-9].max(axis=0), bent),
+        _finding(f"squatting on two legs, the knee {deepest:g} degrees", needed.max(axis=0), half),
+        _finding("standing on one straight leg", carrying[0], leans),
+        _finding(f"squatting on one leg, the knee {deepest:g} degrees", carrying.max(axis=0), f"it carries {carried}"),
     ]
 
 
@@ -91,8 +76,9 @@ def body_weight(torso: float) -> float:
     return torso + 2 * thesis.GRAVITY * sum(thesis.LINK_MASSES)
 
 
-def squat(torso: float, legs: int, deepest: float) -> Squat:
-    """The postures on one or two legs and the torques that hold them.
+def squat(torso: float, legs: int, knee: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The postures of a leg that carries the body on one or two legs, rad, and the sizes of the torques that hold them,
+    N m, (n, 5) each, by the knee's angle, (n,) degrees.
 
     On one leg the roll leans the leg, so that the centre of mass comes above the toe also from the side; the other leg
     hangs straight from its hip.
@@ -132,10 +118,8 @@ def squat(torso: float, legs: int, deepest: float) -> Squat:
         torque = dynamics.gravity(leg, q) - kinematics.static_torque(leg, q, ground)
         return q, torque
 
-    knee = np.arange(0.0, deepest + STEP / 2, STEP)
     q, torque = (np.asarray(x, float) for x in jax.jit(jax.vmap(hold))(jnp.radians(knee)))
-    low, high = np.radians(thesis.JOINT_RANGES["proposed"]).T
-    return Squat(knee, q, torque, (low - 1e-6 <= q) & (q <= high + 1e-6))
+    return q, np.abs(torque)
 
 
 STALL_TOLERANCE = 5e-6

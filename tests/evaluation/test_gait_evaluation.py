@@ -13,8 +13,7 @@ from command_line import told
 from humanoid_mjx.compute import rng
 from humanoid_mjx.config import parse
 from humanoid_mjx.evaluation.gait.figures import FIGURES
-from humanoid_mjx.evaluation.gait.measure import settings_of
-from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_scenarios, scenarios_of
+from humanoid_mjx.evaluation.gait.scenarios import Scenario, gaits_of, play_scenarios, scenarios_of, settings_of
 from humanoid_mjx.evaluation.policy import find_policy, in_world, policies_of_best, save_policy
 from humanoid_mjx.physics.native import Native
 from humanoid_mjx.robot.lower_body import LowerBody
