@@ -1,4 +1,12 @@
-"""Motions played on the free lower body on the ground, and what becomes of it."""
+# pyright: reportAttributeAccessIssue=false
+"""Motions played on the free lower body on the ground, and what becomes of it.
+
+Balance is judged by zero-moment point and support polygon (sections 4.5 and 4.8). The thesis asks that the point stay
+in the polygon of the feet and prints no formula. These are the standard ones (Vukobratovic and Borovac, International
+Journal of Humanoid Robotics 1, 2004): the ground must give the wrench that the bodies' weights and accelerations
+require, and the zero-moment point is where this wrench has no moment about a level axis. As long as the feet can give
+it, the point is the centre of pressure of the contact forces and lies in their convex hull.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
@@ -6,6 +14,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Bool, Float
@@ -16,8 +25,8 @@ from humanoid_mjx.mechanics import gaits
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages, World
 from humanoid_mjx.report.rendering import draw
-from humanoid_mjx.reproduction.balance import foot_corners, ground_wrench, inside_support, zero_moment_point
 from humanoid_mjx.reproduction.findings import Setting
+from humanoid_mjx.robot.description import lowest
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import AnyArray, IntScalar
 
@@ -203,7 +212,7 @@ def _played(gait: gaits.Gait, times: Float[Array, " times"], phase: str) -> Any:
 def standing(joints: Float[AnyArray, " joints"]) -> Float[np.ndarray, " nq"]:
     """`qpos` of an upright body in a posture of the joints, the lowest corner of its feet on the ground."""
     qpos = np.concatenate([physics().qpos0[:7], joints])
-    qpos[2] -= foot_corners(physics(), qpos[None])[0, :, 2].min()
+    qpos[2] -= foot_corners(qpos[None])[0, :, 2].min()
     return qpos
 
 
@@ -266,4 +275,69 @@ def _until_fall(qpos: np.ndarray, qvel: np.ndarray, plan: np.ndarray) -> Path:
     down = (qpos[:, 2] < FALLEN_M) | (upright < np.cos(np.radians(FALLEN_TILT)))
     end = int(np.argmax(down)) if down.any() else len(qpos)
     error = qpos[:end, 7:] - plan[:end]
-    return Path(qpos[:end], qvel[:end], error, foot_corners(physics(), qpos[:end]), bool(down.any()))
+    return Path(qpos[:end], qvel[:end], error, foot_corners(qpos[:end]), bool(down.any()))
+
+
+def ground_wrench(
+    model: mujoco.MjModel,
+    qpos: Float[AnyArray, "times nq"],
+    qvel: Float[AnyArray, "times nv"],
+    qacc: Float[AnyArray, "times nv"],
+) -> tuple[Float[np.ndarray, "times 3"], Float[np.ndarray, "times 3"]]:
+    """Return the force, N, and the moment about the world's origin, N m, that the motion of a body with a free torso
+    needs from the ground.
+
+    It is what inverse dynamics leaves to the six degrees of freedom that no motor drives. Where only the ground pushes,
+    it is the ground's wrench.
+    """
+    data, needed = mujoco.MjData(model), np.empty(model.nv)
+    force, moment = np.empty((2, len(qpos), 3))
+    for t in range(len(qpos)):
+        data.qpos, data.qvel, data.qacc = qpos[t], qvel[t], qacc[t]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_rne(model, data, 1, needed)
+        force[t] = needed[:3]
+        mujoco.mju_rotVecQuat(moment[t], needed[3:6], data.qpos[3:7])
+        moment[t] += np.cross(data.qpos[:3], force[t])
+    return force, moment
+
+
+def zero_moment_point(force: Float[np.ndarray, "times 3"], moment: Float[np.ndarray, "times 3"]) -> np.ndarray:
+    """Return the points on the plane z = 0 at which a wrench has no moment about x and y, (times, 2), m.
+
+    Args:
+      force: force, N, in the world's frame, z up.
+      moment: moment about the world's origin, N m.
+
+    Returns:
+      x and y; NaN where the force does not push the ground, as in flight.
+    """
+    up = np.where(force[:, 2:] > 0, force[:, 2:], np.nan)
+    return np.stack([-moment[:, 1], moment[:, 0]], axis=1) / up
+
+
+def inside_support(
+    point: Float[np.ndarray, "*times 2"],
+    corners: Float[np.ndarray, "*times corners 2"],
+    touching: Bool[np.ndarray, "*times corners"],
+) -> Bool[np.ndarray, "*times"]:
+    """Return whether a point is inside the support polygon, the convex hull of the corners that touch: seen from it
+    they lie on all sides, no two neighbours half a turn or more apart. An edge and a corner have no inside."""
+    x, y = np.moveaxis(corners - point[..., None, :], -1, 0)
+    side = np.sort(np.where(touching, np.arctan2(y, x), np.nan), axis=-1)  # NaN at the end
+    following = np.concatenate([side[..., 1:], np.full_like(side[..., :1], np.nan)], axis=-1)
+    following = np.where(np.isnan(following), side[..., :1] + 2 * np.pi, following)
+    gap = np.nan_to_num(following - side, nan=-np.inf).max(axis=-1)
+    return (gap > 0) & (gap < np.pi - 1e-9)
+
+
+def foot_corners(qpos: Float[AnyArray, "times nq"]) -> Float[np.ndarray, "times corners 3"]:
+    """The lowest points of the feet's corners in recorded postures, m, outside jax; where z <= 0 they touch."""
+    model, (balls, _) = physics().model, physics().ground_points
+    data, found = mujoco.MjData(model), np.empty((len(qpos), len(balls), 3))
+    for row, posture in zip(found, qpos, strict=True):
+        data.qpos = posture
+        mujoco.mj_kinematics(model, data)
+        row[:] = lowest(model, data.geom_xpos[balls])
+    return found

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from humanoid_mjx.reproduction import balance
+from humanoid_mjx.reproduction import ground
 from humanoid_mjx.robot.lower_body import LowerBody
 
 
@@ -40,20 +40,20 @@ def test_the_zero_moment_point_is_the_center_of_pressure(motion):
     model, (qpos, qvel, qacc, forces, places, touching) = motion
     flat = touching == 8
     assert flat.sum() > 400
-    force, moment = balance.ground_wrench(model, qpos, qvel, qacc)
+    force, moment = ground.ground_wrench(model, qpos, qvel, qacc)
     np.testing.assert_allclose(force[flat], forces[flat].sum(axis=1), rtol=1e-6, atol=1e-6)
-    zmp = balance.zero_moment_point(force, moment)
+    zmp = ground.zero_moment_point(force, moment)
     pressure = forces[..., 2:] * places[..., :2]
     pressure = pressure[flat].sum(axis=1) / forces[flat, :, 2:].sum(axis=1)
     np.testing.assert_allclose(zmp[flat], pressure, atol=1e-3)
-    still = balance.zero_moment_point(*balance.ground_wrench(model, qpos, qvel, 0 * qacc))
+    still = ground.zero_moment_point(*ground.ground_wrench(model, qpos, qvel, 0 * qacc))
     # The accelerations are real: without them, the point would be elsewhere.
     assert np.abs(still - zmp)[flat].max() > 5e-3
     assert np.ptp(force[flat, 2]) > 3.0
 
 
 def test_there_is_no_point_in_flight():
-    assert np.isnan(balance.zero_moment_point(np.array([[1.0, 0.0, 0.0]]), np.ones((1, 3)))).all()
+    assert np.isnan(ground.zero_moment_point(np.array([[1.0, 0.0, 0.0]]), np.ones((1, 3)))).all()
 
 
 def test_inside_the_support_is_inside_the_convex_hull():
@@ -63,7 +63,7 @@ def test_inside_the_support_is_inside_the_convex_hull():
     points = rng.uniform(-1.2, 1.2, (200, 2))
     hulls = [ConvexHull(some[there]).equations for some, there in zip(corners, touching, strict=True)]
     expected = [(hull[:, :2] @ point + hull[:, 2] < 0).all() for hull, point in zip(hulls, points, strict=True)]
-    assert balance.inside_support(points, corners, touching).tolist() == expected
+    assert ground.inside_support(points, corners, touching).tolist() == expected
     assert 0.2 < np.mean(expected) < 0.8
 
 
@@ -75,9 +75,9 @@ def test_the_middle_of_a_square(touching, inside):
     """No corner, one, an edge, a diagonal (which has no inside), half of it (whose edge is no inside), all."""
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     touches = np.array([[c == "1" for c in touching]])
-    assert balance.inside_support(np.array([[0.5, 0.5]]), corners[None], touches).tolist() == [inside]
+    assert ground.inside_support(np.array([[0.5, 0.5]]), corners[None], touches).tolist() == [inside]
 
 
 def test_a_flight_has_no_inside():
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-    assert not balance.inside_support(np.array([[np.nan, np.nan]]), corners[None], np.ones((1, 4), bool)).any()
+    assert not ground.inside_support(np.array([[np.nan, np.nan]]), corners[None], np.ones((1, 4), bool)).any()
