@@ -119,23 +119,13 @@ def render_film(
       InputError: another kind of file, one that cannot be written, or .mp4 and .webm without the extra `video`.
     """
     check_file(path)
-    frames = _few(film, fps) if path.suffix == ".png" else film.at(fps)
-    write_frames(_annotated(film, *frames, tell, size=size), path, fps)
+    write_frames((frame for frame, _ in _frames(film, fps, path.suffix == ".png", size, tell)), path, fps)
     return path
-
-
-def _few(film: Film, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """`STRIP` postures of a film, evenly spaced from first to last, and their times, s."""
-    qpos, times = film.at(fps)
-    chosen = np.unique(np.linspace(0, len(qpos) - 1, STRIP).astype(int))
-    return qpos[chosen], times[chosen]
 
 
 def strip(film: Film) -> list[tuple[Frame, float]]:
     """`STRIP` frames of a film, evenly spaced from first to last, without title and clock, and their times, s."""
-    qpos, times = _few(film, FPS)
-    frames = _annotated(film._replace(title=""), qpos, times, lambda done, total: None, clock=False)
-    return list(zip(frames, times.tolist(), strict=True))
+    return list(_frames(film._replace(title=""), FPS, few=True, clock=False))
 
 
 def draw(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> list[Frame]:
@@ -143,18 +133,21 @@ def draw(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"]) -> list[Fram
     return list(_paint(make_scene(model, qpos)))
 
 
-def _annotated(
+def _frames(
     film: Film,
-    qpos: Float[np.ndarray, "frames nq"],
-    times: Float[np.ndarray, " frames"],
-    tell: Callable[[int, int], None],
-    clock: bool = True,
+    fps: float,
+    few: bool,
     size: tuple[int, int] | None = None,
-) -> Iterator[Frame]:
-    scene = make_scene(film.model, qpos, film.terrain)
-    for number, (frame, seconds) in enumerate(zip(_paint(scene, size), times, strict=True)):
-        yield annotate(frame, film, scene, number, float(seconds), clock)
-        tell(number + 1, len(qpos))
+    tell: Callable[[int, int], None] = lambda done, total: None,
+    clock: bool = True,
+) -> Iterator[tuple[Frame, float]]:
+    """Frames of a film with what is written on them, and their times, s; where `few`, `STRIP` evenly spaced ones."""
+    qpos, times = film.at(fps)
+    chosen = np.unique(np.linspace(0, len(qpos) - 1, STRIP if few else len(qpos)).astype(int))
+    scene = make_scene(film.model, qpos[chosen], film.terrain)
+    for number, (frame, seconds) in enumerate(zip(_paint(scene, size), times[chosen].tolist(), strict=True)):
+        yield annotate(frame, film, scene, number, seconds, clock), seconds
+        tell(number + 1, len(chosen))
 
 
 def _paint(scene: Scene, size: tuple[int, int] | None = None) -> Iterator[Frame]:

@@ -276,14 +276,8 @@ def measure(policies: Sequence[StoredPolicy], episodes: int, tell: Callable[[int
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(policy.policy for policy in group))
         scenarios = scenarios_of(task.robot)
         played = play_scenarios(learner, stacked, scenarios, episodes, float(task.duration), AGENTS, tell)
-        beyond = [each.name for each in scenarios if _beyond(task, each)]
+        ranges = task.command.ranges if isinstance(task.command, Velocity) else [[-np.inf, np.inf]] * 3
+        (low, high), asked = np.asarray(ranges).T, {each.name: np.array(each.command) for each in scenarios}
+        beyond = [name for name, x in asked.items() if ((x < low - 1e-6) | (x > high + 1e-6)).any()]
         found.append(Measured(group, gaits_of(played, scenarios), beyond))
     return found
-
-
-def _beyond(task: Any, scenario: Scenario) -> bool:
-    """True if the command lies outside the ranges of the task's commands."""
-    if not isinstance(task.command, Velocity):
-        return False
-    low, high = task.command.ranges.T
-    return bool(((jnp.array(scenario.command) < low - 1e-6) | (jnp.array(scenario.command) > high + 1e-6)).any())
