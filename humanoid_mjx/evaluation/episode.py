@@ -4,6 +4,7 @@
 import math
 from collections.abc import Callable, Mapping
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -255,11 +256,8 @@ def film_of(trained: StoredPolicy, played: Played, title: str) -> Film:
     """
     model, (qpos, step_s) = robot_of(trained), rows_of(trained, played)
     period: float = trained.learner.task.period
-    told: list[tuple[float, str]] = []
-    for number, values in enumerate(played.told):
-        words = in_words(values)
-        if words and (not told or told[-1][1] != words):
-            told.append((number * period, words))
+    words = pairwise(["", *map(in_words, played.told)])
+    told = [(number * period, now) for number, (before, now) in enumerate(words) if now != before]
     film = Film(model, qpos, step_s, title, tuple(told), tuple(merged(played.pushes, period)))
     terrain = getattr(played.states[0], "terrain", None)
     return film if terrain is None else _level(film, jax.tree.map(float, terrain), trained)

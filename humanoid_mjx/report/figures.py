@@ -1,8 +1,7 @@
 """The figures of a sweep: learning curves by swept value or by point, what the parameters do, heat maps."""
 
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import cycle, product
 from pathlib import Path
@@ -53,9 +52,7 @@ def sweep_figures(folder: Path, title: str, learning: Learning) -> list[Path]:
     learning_curves(paths[0], title, learning)
     if others := parameters(learning):
         paths.append(folder / "parameters.png")
-        with side_by_side(paths[-1], [each.title for each in others], f"{title}: {EFFECTS[learning.mode]}") as panels:
-            for each, panel in zip(others, panels, strict=True):
-                each.draw(panel, None)
+        side_by_side(paths[-1], f"{title}: {EFFECTS[learning.mode]}", others)
     for name in mapped(learning):
         paths.append(folder / f"{name}.png")
         heat_maps(paths[-1], f"{title}: {HEAT_MAPS[name]}", learning, name)
@@ -121,16 +118,15 @@ def averaged(learning: Learning) -> str:
     )
 
 
-@contextmanager
-def side_by_side(path: Path, titles: Sequence[str], heading: str) -> Iterator[list[Any]]:
-    """A figure of panels in rows of `PANELS_IN_A_ROW`, each under its title."""
-    columns = min(len(titles), PANELS_IN_A_ROW)
-    with figure(path, -(-len(titles) // columns), columns, heading=heading) as (_, panels):
-        for panel in panels.flat[len(titles) :]:
+def side_by_side(path: Path, heading: str, figures: Sequence[Figure], axis: str | None = None) -> None:
+    """Draw figures by a parameter, if any, in rows of `PANELS_IN_A_ROW`, each under its title."""
+    columns = min(len(figures), PANELS_IN_A_ROW)
+    with figure(path, -(-len(figures) // columns), columns, heading=heading) as (_, panels):
+        for panel in panels.flat[len(figures) :]:
             panel.set_axis_off()
-        for panel, title in zip(panels.flat, titles, strict=False):
-            panel.set_title(title)
-        yield list(panels.flat[: len(titles)])
+        for panel, each in zip(panels.flat, figures, strict=False):
+            panel.set_title(each.title)
+            each.draw(panel, axis)
 
 
 def learning_curves(path: Path, title: str, learning: Learning) -> None:
@@ -139,9 +135,7 @@ def learning_curves(path: Path, title: str, learning: Learning) -> None:
     rows, axes, heading = curved(learning), list(learning.axes), f"{title}: {averaged(learning)}"
     if len(axes) < 2 or not by_value(learning):
         axis = axes[0] if axes and by_value(learning) else None
-        with side_by_side(path, [axis or ""] * len(rows), heading) as panels:
-            for panel, each in zip(panels, rows, strict=True):
-                each.draw(panel, axis)
+        side_by_side(path, heading, [each._replace(title=axis or "") for each in rows], axis)
         return
     with figure(path, len(rows), len(axes), heading=heading, sharey="row") as (_, panels):
         for (row, each), (column, axis) in product(enumerate(rows), enumerate(axes)):

@@ -112,9 +112,7 @@ def draw_learned(path: Path, out: Path | None) -> tuple[Path, list[str]]:
         return out, [words]
     words, figures = learned(path)
     target = out or path / "figures" / "learned.png"
-    with side_by_side(target, [each.title for each in figures], path.resolve().name) as panels:
-        for panel, each in zip(panels, figures, strict=True):
-            each.draw(panel, None)
+    side_by_side(target, path.resolve().name, figures)
     return target, [words]
 
 
