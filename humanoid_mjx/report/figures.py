@@ -156,17 +156,11 @@ def _drawn(
     """The lines of a panel, one for each value of a parameter, or for each of the best points: label, colour, the
     values (seeds, ...) of the best point that it is about, and the mean over all such points; None where there is one.
     """
-    rank = np.argsort(learning.order)
-    if axis is None and learning.axes:
-        labels = [", ".join(short(column[point]) for column in learning.axes.values()) for point in learning.order]
-        best = list(zip(labels, learning.order, strict=True))[:MAX_CURVES]
-        if learning.mode == "zip":
-            best.sort(key=lambda each: each[1])
-        colors = shades(len(best))
-        return [(label, color, values[at], None) for (label, at), color in zip(best, colors, strict=True)]
     if axis is None:
-        return [("all", shades(1)[0], values[0], None)]
-    levels, found = find_levels(learning.axes[axis]), []
+        best = sorted(learning.order[:MAX_CURVES]) if learning.mode == "zip" else learning.order[:MAX_CURVES]
+        labels = [", ".join(short(column[point]) for column in learning.axes.values()) or "all" for point in best]
+        return [(*line, values[at], None) for *line, at in zip(labels, shades(len(best)), best, strict=True)]
+    rank, levels, found = np.argsort(learning.order), find_levels(learning.axes[axis]), []
     for level, (label, color) in enumerate(zip(levels.labels, shades(len(levels.labels)), strict=True)):
         mine = np.flatnonzero(levels.index == level)
         best = mine[np.argmin(rank[mine])]

@@ -43,13 +43,12 @@ class Stages(NamedTuple):
         return np.where(self.visits[..., None] > 0, self.tables, np.nan)
 
 
-def learned(path: Path, film: bool = False) -> tuple[str, list[Figure]]:
-    """Return sentences and figures on the table of a run folder's best run; of a film the frames alone.
+def learned(trained: StoredPolicy, film: bool = False) -> tuple[str, list[Figure]]:
+    """Return sentences and figures on the table of a run; of a film the frames alone.
 
     Raises:
-      InputError: this is no run folder, nothing in it is finished, or its learner has no table.
+      InputError: its learner has no table.
     """
-    trained = find_policy(str(path))
     task, stages = trained.learner.task, repeated(trained, FRAMES if film else STAGES)
     words = f"The table of the best run, point {trained.point} with seed {trained.seed}; white: never visited."
     if stages is None:
@@ -103,14 +102,14 @@ def draw_learned(path: Path, out: Path | None) -> tuple[Path, list[str]]:
     """Draw the table of a run folder's best run, as a film where the file is one: the file, and sentences on it.
 
     Raises:
-      InputError: as `learned`, or the film cannot be written.
+      InputError: as `find_policy` and `learned`, or the film cannot be written.
     """
     if out and out.suffix in FILMS:
         check_file(out)
-        words, figures = learned(path, film=True)
+        words, figures = learned(find_policy(path), film=True)
         write_frames(map(partial(_frame, path.resolve().name), figures), out, fps=4.0)
         return out, [words]
-    words, figures = learned(path)
+    words, figures = learned(find_policy(path))
     target = out or path / "figures" / "learned.png"
     side_by_side(target, path.resolve().name, figures)
     return target, [words]

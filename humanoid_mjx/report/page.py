@@ -5,7 +5,7 @@ import json
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from html import escape
 from itertools import combinations, product
 from pathlib import Path
@@ -17,7 +17,7 @@ from PIL import Image
 from humanoid_mjx.compute.provenance import PACKAGES
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.episode import driven_films, show
-from humanoid_mjx.evaluation.policy import find_policy, on_native, on_plane
+from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, on_native, on_plane
 from humanoid_mjx.evaluation.replay import why_stopped
 from humanoid_mjx.report.drawing import HEAT_MAPS
 from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, mapped, parameters
@@ -60,6 +60,12 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     axes = list(learning.axes)
     reporter.phase("drawing figures")
     points = ranked(axes, summary, quickest)
+    run, trained = _config(config, axes, summary), None
+    try:
+        trained = find_policy(path)
+        run += _differences(trained.learner.task)
+    except InputError as error:
+        run.append(_note(error))
     parts = {
         "Result": _result(path, learning, summary, points, quickest),
         "Learning": [text(f"Lines: {averaged(learning)}."), *curve_panels(learning)],
@@ -68,15 +74,14 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
         parts["What matters"] = [text(_capital(EFFECTS[learning.mode]) + "."), _panels(others)]
     if maps := mapped(learning):
         parts["Two parameters at a time"] = _maps(learning, maps)
-    if config["learner"]["name"] == "tabular_q":
+    if trained and config["learner"]["name"] == "tabular_q":
         reporter.phase("drawing its table")
-        with suppress(InputError):  # which `_differences` tells
-            words, tables = learned(path)
-            parts["What was learned"] = [text(words), _panels(tables)]
-    if motion and (shown := _motion(path, reporter)):
-        parts["The robot"] = shown
+        words, tables = learned(trained)
+        parts["What was learned"] = [text(words), _panels(tables)]
+    if trained and motion and hasattr(trained.learner.task, "simulator"):
+        parts["The robot"] = _motion(trained, reporter)
     parts |= {
-        "What was run": [*_config(config, axes, summary), *_differences(path)],
+        "What was run": run,
         "Where and when": _provenance(provenance),
         "Run it again": _again(config, provenance),
     }
@@ -111,14 +116,14 @@ def _result(
     parts = [table(headings, rows, caption=caption)]
     parts += [text(_capital(line)) for line in in_words(list(learning.axes), points, learning.compared).splitlines()]
     for words in filter(None, (rungs_in_words(summary), why_stopped(path, summary))):
-        parts.append(f'<p class="note">{text(words, "strong")}</p>')
+        parts.append(_note(words, "strong"))
     words = (
         "Greedy: episodes in which nothing is explored or learned, after training. Success is the mean over seeds, the "
         "other columns are medians over seeds. Points are as good as the best if the same seeds do not tell them apart "
         "(5 % false alarms over all points together). Returns are undiscounted sums of rewards: where a task pays "
         "at every step, a longer episode collects more."
     )
-    parts.append(f'<p class="note">{text(words, "span")}</p>')
+    parts.append(_note(words))
     if axes := list(learning.axes)[:2]:
         run, best = shlex.quote(str(path)), f"--point {points[0].point}"
         drawn = " ".join(f"--{option} {axis}" for option, axis in zip(("x", "by"), axes, strict=False))
@@ -197,15 +202,12 @@ def _grid(pictures: Iterable[str], kind: str = "") -> str:
     return f'<div class="grid{kind}">{"".join(pictures)}</div>'
 
 
-def _motion(path: Path, reporter: Reporter) -> list[str]:
-    """The robot under the best policy, in its first held-out episode; nothing where the task has none."""
+def _motion(trained: StoredPolicy, reporter: Reporter) -> list[str]:
+    """The robot under a policy, in its first held-out episode."""
     try:
-        trained = on_native(on_plane(find_policy(str(path))))
-        if getattr(trained.learner.task, "simulator", None) is None:
-            return []
-        film, outcome = show(trained, reporter)
+        film, outcome = show(trained := on_native(on_plane(trained)), reporter)
     except InputError as error:
-        return [f'<p class="note">{text(str(error), "span")}</p>']
+        return [_note(error)]
     reporter.phase("rendering")
     pictures = []
     for frame, seconds in strip(film):
@@ -232,12 +234,9 @@ def _config(config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str
     return [*parts, text("The config, with all defaults:"), text(yaml.rstrip(), "pre"), f"<p>{save}</p>"]
 
 
-def _differences(path: Path) -> list[str]:
-    """The table of what the robot has otherwise than its MJCF; nothing where it has no MJCF of its own."""
-    try:
-        rows = differences_of(find_policy(str(path)).learner.task)
-    except InputError as error:
-        return [f'<p class="note">{text(str(error), "span")}</p>']
+def _differences(task: Any) -> list[str]:
+    """The table of what a task's robot has otherwise than its MJCF; nothing where it has no MJCF of its own."""
+    rows = differences_of(task)
     return [text("Its robot and the MJCF", "h3"), table(HEADINGS, rows)] if rows else []
 
 
@@ -300,6 +299,10 @@ def _figure(data: bytes, alt: str, caption: str, kind: str = ".svg", lines: Mapp
     hover = f' data-lines="{escape(json.dumps(lines))}"' if lines and lines["lines"] else ""
     look = {".svg": ' class="map"' if lines is None else ' class="curves"'}.get(kind, "")
     return f"<figure{look}{hover}>{image(data, kind, alt)}{below}</figure>"
+
+
+def _note(words: object, kind: str = "span") -> str:
+    return f'<p class="note">{text(str(words), kind)}</p>'
 
 
 def _capital(words: str) -> str:

@@ -1,7 +1,5 @@
 """What a table has learned: its stages are those of shorter trainings, its way is that of its greedy moves."""
 
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -32,7 +30,7 @@ def room(tmp_path_factory):
 
 
 def drawn(path):
-    words, panels = learned(path)
+    words, panels = learned(find_policy(path))
     return words, [each.title for each in panels]
 
 
@@ -99,6 +97,6 @@ def test_a_training_that_cannot_be_repeated_shows_its_end(room, monkeypatch):
 
 def test_what_has_no_table_is_refused(room):
     with pytest.raises(InputError, match="walk: deep_q has no table to draw; choose a run of tabular_q"):
-        learned(Path("walk"))
+        learned(find_policy("walk"))
     with pytest.raises(InputError, match="leave out the other runs"):
         told("plot", room, room, "--y", "learned")
