@@ -17,15 +17,15 @@ def findings_page(path: Path) -> str:
     """
     findings = read_findings(path / FINDINGS)
     shown = sorted(file for file in path.iterdir() if file.suffix in (*MEDIA, ".md") and file.is_file())
-    titles = {name: experiment.title for name, experiment in load_experiments().items()}
-    names = list(dict.fromkeys(str(finding["name"]) for finding in findings))
-    parts = [_lead(findings), _contents(findings, names, titles)]
+    names, known = list(dict.fromkeys(str(finding["name"]) for finding in findings)), load_experiments()
+    headings = {name: f"{name}: {known[name].title}" if name in known else name for name in names}
+    parts = [_lead(findings), _contents(findings, headings)]
     # A file is of the experiment whose name it begins with; of several of these, of the longest.
     owners = [max((n for n in names if f"{file.stem}-".startswith(f"{n}-")), key=len, default="") for file in shown]
     for name in names:
         mine = [finding for finding in findings if finding["name"] == name]
         own = [file for file, owner in zip(shown, owners, strict=True) if owner == name]
-        parts.append(section(_heading(name, titles), *map(_finding, mine), *map(_shown, own)))
+        parts.append(section(headings[name], *map(_finding, mine), *map(_shown, own)))
     if more := [file for file, owner in zip(shown, owners, strict=True) if not owner]:
         parts.append(section("More figures", *map(_shown, more)))
     again = f"humanoid-mjx reproduce {' '.join(names)} --out {path.name}-again"
@@ -51,19 +51,14 @@ def _lead(findings: Sequence[Mapping[str, Any]]) -> str:
     return f'<p class="lead">{text(words, "span")}</p><ul class="counts">{items}</ul>{meanings}'
 
 
-def _contents(findings: Sequence[Mapping[str, Any]], names: Sequence[str], titles: Mapping[str, str]) -> str:
+def _contents(findings: Sequence[Mapping[str, Any]], headings: Mapping[str, str]) -> str:
     """A link to each experiment, and what became of its quantities."""
     items = []
-    for name in names:
+    for name, heading in headings.items():
         counts = Counter(_words(str(finding["verdict"])) for finding in findings if finding["name"] == name)
         found = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-        heading = _heading(name, titles)
         items.append(f"<li>{link(heading, f'#{anchor_of(heading)}')} {text(f'({found})', 'span')}</li>")
     return f"<nav><ul>{''.join(items)}</ul></nav>"
-
-
-def _heading(name: str, titles: Mapping[str, str]) -> str:
-    return f"{name}: {titles[name]}" if name in titles else name
 
 
 def _finding(finding: Mapping[str, Any]) -> str:

@@ -244,58 +244,50 @@ def _models() -> dict[str, Any]:
     }
 
 
-class Case(NamedTuple):
-    """A leg, its controller and its plan, as numbers."""
-
-    rate: Any
-    acceleration: Any
-    """Shares of the planned rate and acceleration that the law sees."""
-    leg: Any
-    model: Any
-    kp: Any
-    kd: Any
-    ki: Any
-    """Gains, (5,); that of the integral in 1/s^3."""
-    begin: Any
-    """(5,) Where the plan begins, rad; the leg begins at 0."""
-
-
 @cache
 def _motions(kp: tuple[float, ...], kd: tuple[float, ...]) -> dict[Variant, np.ndarray]:
     """(points, 5) Errors of every variant, rad, from time 0 on; infinite where it diverges."""
-    models, found = _models(), {}
-    gains = np.array(kp), np.array(kd), np.zeros(5), BEGIN
+    gains, found = (np.array(kp), np.array(kd), np.zeros(5), BEGIN), {}
     for law in dict.fromkeys(variant.law for variant in VARIANTS):
         variants = [variant for variant in VARIANTS if variant.law == law]
-        cases = [Case(v.rate, v.acceleration, models[v.leg], models[v.model], *gains) for v in variants]
-        found |= zip(variants, _errors(law, cases), strict=True)
+        found |= zip(variants, _errors(variants, [gains] * len(variants)), strict=True)
     return {variant: found[variant] for variant in VARIANTS}
 
 
-def _errors(law: str, cases: Sequence[Case]) -> np.ndarray:
-    """(cases, points, 5) Errors under a law, rad, from time 0 on; infinite where it diverges."""
+def _errors(variants: Sequence[Variant], gains: Sequence[tuple[np.ndarray, ...]]) -> np.ndarray:
+    """(variants, points, 5) Errors of variants of one law, rad, from time 0 on; infinite where one diverges.
+
+    Args:
+      gains: of each kp, kd and that of the integral, 1/s^3, and where its plan begins, rad, (5,) each; the leg begins
+        at 0.
+    """
+    models = _models()
+    cases = [
+        (v.rate, v.acceleration, models[v.leg], models[v.model], *own) for v, own in zip(variants, gains, strict=True)
+    ]
     together = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(y, float) for y in x]), *cases)
-    return np.nan_to_num(np.asarray(_program(law)(together), np.float64), nan=np.inf)
+    return np.nan_to_num(np.asarray(_program(variants[0].law)(*together), np.float64), nan=np.inf)
 
 
 @cache
 def _program(law: str) -> Callable[..., Any]:
-    """From cases of a law, with a leading axis, to the errors, (cases, points, 5), rad."""
+    """From the shares of planned rate and acceleration that the law sees, leg, model and gains, with a leading axis, to
+    the errors, (cases, points, 5), rad."""
 
-    def simulate(case: Case) -> Any:
-        path = rest_to_rest(case.begin, np.radians(thesis.QUINTIC_RANGES)[:, 1], thesis.QUINTIC_S)
+    def simulate(rate: Any, acceleration: Any, leg: Any, model: Any, kp: Any, kd: Any, ki: Any, begin: Any) -> Any:
+        path = rest_to_rest(begin, np.radians(thesis.QUINTIC_RANGES)[:, 1], thesis.QUINTIC_S)
 
         def act(plan: Reference, qpos: Any, qvel: Any, integral: Any = 0.0) -> Any:
-            seen = Reference(plan.qpos, case.rate * plan.qvel, case.acceleration * plan.qacc)
-            return LAWS[law](case.model, qpos, qvel, servo(case.kp, case.kd, seen, qpos, qvel) + case.ki * integral)
+            seen = Reference(plan.qpos, rate * plan.qvel, acceleration * plan.qacc)
+            return LAWS[law](model, qpos, qvel, servo(kp, kd, seen, qpos, qvel) + ki * integral)
 
         step_s, how = STEP_S, dict[str, Any](integral=True)
         if "as printed" in law:
             step_s, how = ANALOG_STEP_S, {"integrator": dynamics.runge_kutta, "cycle": None}
         elif law == "servo":
-            how |= {"integrator": implicit_euler(case.kp, case.kd)}
-        errors, shown = errors_along(case.leg, act, 0.0 * case.begin, step_s, path=path, **how), round(SHOWN_S / step_s)
-        return jnp.concatenate([case.begin[None], errors[shown - 1 :: shown]])
+            how |= {"integrator": implicit_euler(kp, kd)}
+        errors, shown = errors_along(leg, act, 0.0 * begin, step_s, path=path, **how), round(SHOWN_S / step_s)
+        return jnp.concatenate([begin[None], errors[shown - 1 :: shown]])
 
     return jax.jit(jax.vmap(simulate), compiler_options=compute.compiler_options("scalars"))
 
@@ -312,12 +304,11 @@ TUNINGS = {
 def remedies(setting: Setting) -> list[Finding]:
     """The remedies that section 7 D names, and an integral term (5.7), under its own law, partitioned PD."""
     _, kp, kd = _gains(setting)
-    leg, kp, kd = _models()["thesis"], np.array(kp), np.array(kd)
+    kp, kd, none = np.array(kp), np.array(kd), np.zeros(5)
     scales = [scale for _, tried in TUNINGS.values() for scale in tried]
-    cases = [Case(1.0, 1.0, leg, leg, p * kp, d * kd, share * kp * kd, BEGIN) for p, d, share in scales]
-    cases.append(cases[0]._replace(kp=kp, kd=kd, begin=np.zeros(5)))
-    setting.tell(f"the motion under {len(cases)} tunings of partitioned PD")
-    *errors, from_zero = np.abs(_errors(PARTITIONED.law, cases))
+    gains = [*((p * kp, d * kd, share * kp * kd, BEGIN) for p, d, share in scales), (kp, kd, none, none)]
+    setting.tell(f"the motion under {len(gains)} tunings of partitioned PD")
+    *errors, from_zero = np.abs(_errors([PARTITIONED] * len(gains), gains))
     ends = np.split(np.array(errors)[:, -1], np.cumsum([len(tried) for _, tried in TUNINGS.values()])[:-1])
     title = f"Partitioned PD, {thesis.QUINTIC_S:g} s after the start: error that each joint has left (no dot: unstable)"
     with setting.figure(1, 3, size=(4.0, 3.4), title=title, sharey=True) as (_, axes):

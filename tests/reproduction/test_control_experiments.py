@@ -84,10 +84,9 @@ def test_other_gains_are_no_longer_the_printed_ones(monkeypatch, tmp_path):
 def test_an_integral_term_obeys_its_error_equation():
     """Exact computed torque with a PID leaves a linear equation of third order of its error."""
     kp, kd, ki = 60.0, 15.0, 90.0
-    leg = tracking._models()["thesis"]
-    case = tracking.Case(1.0, 1.0, leg, leg, kp + np.zeros(5), kd + np.zeros(5), ki + np.zeros(5), tracking.BEGIN)
+    gains = kp + np.zeros(5), kd + np.zeros(5), ki + np.zeros(5), tracking.BEGIN
     count = sum(variant.law == "computed torque" for variant in tracking.VARIANTS)  # as many share a program already
-    errors, *_ = tracking._errors("computed torque", [case] * count)
+    errors, *_ = tracking._errors([tracking.EXACT] * count, [gains] * count)
     step = expm(np.array([[0, 1, 0], [0, 0, 1], [-ki, -kp, -kd]]) * tracking.SHOWN_S)
     expected = [np.array([0.0, 1.0, 0.0])]
     for _ in errors[1:]:
