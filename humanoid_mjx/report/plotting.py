@@ -224,19 +224,17 @@ def _across(rows: Rows, x: str) -> Across:
     if values.dtype.kind not in "iuf":
         levels = find_levels(values)
         return Across(levels.index.astype(float), None, True, levels.labels)
-    values = values.astype(float)
+    values, place, record = values.astype(float), None, rows.columns[RECORD]
+    parameter = x.startswith(("task.", "learner."))
+    measured = not parameter and x not in (TIME, rows.counter, "point", "seed")
     if x == TIME:  # seeds reach a record point at different times
-        return Across(values, rows.columns[RECORD], True, None)
-    if x in (rows.counter, "point", "seed"):
-        return Across(values, None, True, None)
-    if not x.startswith(("task.", "learner.")):  # measured: every seed has its own
-        point, record = rows.columns["point"].astype(np.int64), rows.columns[RECORD]
-        return Across(values, point * (record.max() + 1) + record, False, None)
-    distinct = np.unique(values)
-    if len(distinct) <= MAX_VALUES:
-        return Across(values, None, True, None)
-    edges = np.quantile(distinct, np.linspace(0, 1, BINS + 1))
-    return Across(values, np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1), True, None)
+        place = record
+    elif measured:  # every seed has its own
+        place = rows.columns["point"].astype(np.int64) * (record.max() + 1) + record
+    elif parameter and len(distinct := np.unique(values)) > MAX_VALUES:
+        edges = np.quantile(distinct, np.linspace(0, 1, BINS + 1))
+        place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
+    return Across(values, place, not measured, None)
 
 
 def _lines(rows: Rows, by: str | None) -> list[tuple[str, np.ndarray, Any, str]]:
