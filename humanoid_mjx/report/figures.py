@@ -82,7 +82,7 @@ def _final(learning: Learning) -> list[str]:
 def curved(learning: Learning) -> list[Figure]:
     """The figures worth drawing: of what was recorded those that change, or if none does all; and one of greedy
     episodes after training that have no curve."""
-    recorded = {
+    recorded: dict[tuple[str, ...], Figure] = {
         (name,): Figure(title, partial(draw_curves, learning, name))
         for name, title in CURVES.items()
         if name in learning.names

@@ -241,10 +241,10 @@ def trained_seeds(names: Sequence[str], point: int | None = None, overrides: Seq
     """
     found: list[StoredPolicy] = []
     for name in names:
-        if (path := Path(name)).is_dir():
-            found += policies_of_best(path, point, overrides=overrides)
-        else:
-            found.append(find_policy(name, point, overrides))
+        folder = Path(name).is_dir()
+        found += (
+            policies_of_best(Path(name), point, None, overrides) if folder else [find_policy(name, point, overrides)]
+        )
     for policy in found:
         walking_task(policy.learner.task)
     return found

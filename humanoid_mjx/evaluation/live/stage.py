@@ -163,20 +163,16 @@ class Body:
 
     def pressing(self) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
         """Return for each body that touches the ground, by index, the centre of pressure, m, and the force on it, N."""
-        found: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
+        sums: dict[int, np.ndarray] = {}
         for number in range(self.data.ncon):
             contact, force = self.data.contact[number], np.zeros(6)
             mujoco.mj_contactForce(self.model, self.data, number, force)
             first, second = self.model.geom_bodyid[contact.geom]
             if (first == 0) != (second == 0) and force[0] > 0:
+                body, size = int(first or second), np.linalg.norm(force[:3])
                 world = contact.frame.reshape(3, 3).T @ force[:3] * (1.0 if second else -1.0)
-                found.setdefault(int(first or second), []).append((contact.pos.copy(), world))
-        means = {}
-        for body, each in found.items():
-            places, forces = (np.array(parts) for parts in zip(*each, strict=True))
-            sizes = np.linalg.norm(forces, axis=1)
-            means[body] = (sizes @ places / sizes.sum(), forces.sum(axis=0))
-        return means
+                sums[body] = np.array([*size * contact.pos, size, *world]) + sums.get(body, 0.0)
+        return {body: (each[:3] / each[3], each[4:]) for body, each in sums.items()}
 
     def height(self, qpos: Float[np.ndarray, " nq"]) -> float:
         """Of the ground below the torso, m."""
