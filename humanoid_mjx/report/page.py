@@ -36,17 +36,11 @@ from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.pace import time_in_words
 from humanoid_mjx.training.progress import Reporter, counted
 
-FEW_VALUES = 12
-"""More values of a swept parameter are not listed one by one."""
+FEW_VALUES, ROWS = 12, 200
+"""More values of a swept parameter are not listed one by one; most rows of the table of points."""
 
-ROWS = 200
-"""Most rows of the table of points."""
-
-DRIVEN_S = 6.0
-"""Length of a film under one command, s."""
-
-PANEL = 4.4, 3.0
-"""Size of a panel, inches."""
+PANEL, DRIVEN_S = (4.4, 3.0), 6.0
+"""Size of a panel, inches; length of a film under one command, s."""
 
 NO_SCRIPT = "<noscript><p>The motion needs JavaScript; the pictures below it show the same.</p></noscript>"
 

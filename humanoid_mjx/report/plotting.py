@@ -110,10 +110,8 @@ def _read(path: Path, wanted: Sequence[str], curves: bool) -> dict[str, np.ndarr
 MAX_LINES = 24
 """More lines than this cannot be told apart."""
 
-BINS = 12
-"""The x axis has so many bins of equally many values where a swept parameter has more than `MAX_VALUES`."""
-
-MAX_VALUES = 36
+BINS, MAX_VALUES = 12, 36
+"""The x axis has so many bins of equally many values where a swept parameter has more values than the second."""
 
 STYLES = ("-", "--", ":", "-.")
 """Styles of the lines of several runs, where colours tell something else."""

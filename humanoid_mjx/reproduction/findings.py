@@ -62,17 +62,13 @@ class Setting:
     """Say in a few words what is being computed."""
     name: str = ""
 
-    def path(self, ending: str) -> Path:
-        """The file in `out` called after the experiment, with an ending such as `.md`."""
-        return self.out / f"{self.name}{ending}"
-
     @contextmanager
     def figure(
         self, rows: int, columns: int, size: tuple[float, float], title: str = "", legend: int = 0, **kwargs: Any
     ) -> Iterator[Any]:
         """The experiment's figure as `report.style.figure` opens it, a title above, and below the legend of the first
         panel in this number of columns."""
-        with figure(self.path(".png"), rows, columns, size, **kwargs) as (fig, axes):
+        with figure(self.out / f"{self.name}.png", rows, columns, size, **kwargs) as (fig, axes):
             yield fig, axes
             if legend:
                 fig.legend(
@@ -83,7 +79,7 @@ class Setting:
     def table(self, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """Write the experiment's table in Markdown."""
         lines = (" | ".join(map(str, row)) for row in (heads, ["---"] * len(heads), *rows))
-        write_text(self.path(".md"), "".join(f"| {line} |\n" for line in lines))
+        write_text(self.out / f"{self.name}.md", "".join(f"| {line} |\n" for line in lines))
 
 
 Run = Callable[[Setting], Iterable[Finding]]
