@@ -72,7 +72,7 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
         reporter.phase("drawing its table")
         words, tables = learned(trained)
         parts["What was learned"] = [text(words), _panels(tables)]
-    if trained and motion and hasattr(trained.learner.task, "simulator"):
+    if trained and motion and getattr(trained.learner.task, "simulator", None) is not None:
         parts["The robot"] = _motion(trained, reporter)
     parts |= {
         "What was run": run,

@@ -53,13 +53,20 @@ def motor_sizing(setting: Setting) -> list[Finding]:
     bent += "what chapter 8.1 tells"
     leans = f"it carries {carried}, and leans by {abs(np.degrees(alone[0, 2])):.0f} degrees, so that the toe is under "
     leans += f"the centre of mass, which takes {outside or 'no joint'} out of the proposed ranges"
+
+    def largest(torque: np.ndarray, angle: float) -> np.ndarray:
+        """(5,) The largest torques up to an angle of the knee in degrees, N m."""
+        return torque[knee <= angle + 1e-9].max(axis=0)
+
     return [
         _finding("the planned motion, the torso fixed", swing, free),
         _finding("standing on two straight legs", needed[0], straight),
-        _finding(f"squatting on two legs until {limit}", needed[knee <= allowed + 1e-9].max(axis=0), bent),
-        _finding(f"squatting on two legs, the knee {deepest:g} degrees", needed.max(axis=0), half),
+        _finding(f"squatting on two legs until {limit}", largest(needed, allowed), bent),
+        _finding(f"squatting on two legs, the knee {deepest:g} degrees", largest(needed, deepest), half),
         _finding("standing on one straight leg", carrying[0], leans),
-        _finding(f"squatting on one leg, the knee {deepest:g} degrees", carrying.max(axis=0), f"it carries {carried}"),
+        _finding(
+            f"squatting on one leg, the knee {deepest:g} degrees", largest(carrying, deepest), f"it carries {carried}"
+        ),
     ]
 
 
