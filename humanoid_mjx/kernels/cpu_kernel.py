@@ -22,7 +22,8 @@ from jaxtyping import Array
 from humanoid_mjx.files import read_sealed, write_sealed
 from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, type_of
 from humanoid_mjx.kernels.llvm_lowering import lower
-from humanoid_mjx.kernels.llvm_memory import Given, Table, Words
+from humanoid_mjx.kernels.llvm_memory import Words
+from humanoid_mjx.kernels.memory import bits
 from humanoid_mjx.kernels.signature import Kind, Signature, signature
 from humanoid_mjx.kernels.sums import fused
 from humanoid_mjx.kernels.threads import Threads
@@ -160,8 +161,8 @@ def written(known: Signature) -> tuple[str, list[Kind], dict[int, int]]:
     code, found, in_place = Code(), [], {}
 
     def results(numbers: Sequence[Array]) -> list[Array]:
-        threads = Threads(1, _own, _own, jnp.any, Words, Table, known.single)
-        rows, kinds, places = known.evaluate(threads, numbers, lambda place, kind: Given(f"given{place}", kind.size))
+        threads = Threads(1, _own, _own, jnp.any, Words, lambda _, table: Words(tuple(map(bits, table)), 0), known.single)
+        rows, kinds, places = known.evaluate(threads, numbers, lambda place, kind: Words(f"given{place}", kind.size))
         found.extend(kinds)
         in_place.update(places)
         return rows

@@ -6,11 +6,11 @@ from itertools import accumulate, compress
 from typing import Any
 
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Literal
+from jax.extend.core import ClosedJaxpr
 
 from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, known, type_of
 from humanoid_mjx.kernels.llvm_memory import MEMORY
-from humanoid_mjx.kernels.primitives import CALLS
+from humanoid_mjx.kernels.primitives import CALLS, evaluated
 from humanoid_mjx.kernels.uniform import uniform_carry, uniform_results
 
 FLOATS = {"add": "fadd contract", "sub": "fsub contract", "mul": "fmul contract", "div": "fdiv contract"}
@@ -34,19 +34,14 @@ def lower(code: Code, closed: ClosedJaxpr, args: Sequence[Value]) -> list[Value]
     Raises:
       NotImplementedError: it has an operation that is none of kernels'.
     """
-    values: dict[Any, Value] = dict(zip(closed.jaxpr.invars, args, strict=True))
-    for var, constant in zip(closed.jaxpr.constvars, map(np.asarray, closed.consts), strict=True):
-        if (constant != constant.flat[0]).any():
+
+    def constant(array: Any) -> Value:
+        array = np.asarray(array)
+        if (array != array.flat[0]).any():
             raise NotImplementedError("kernels know constants that are the same in all worlds")
-        values[var] = known(constant.flat[0], constant.dtype)
+        return known(array.flat[0], array.dtype)
 
-    def value(x: Any) -> Value:
-        kind: Any = x.aval
-        return known(np.asarray(x.val)[()], kind.dtype) if isinstance(x, Literal) else values[x]
-
-    for eqn in closed.jaxpr.eqns:
-        values |= zip(eqn.outvars, _lowered(code, eqn, [value(x) for x in eqn.invars]), strict=True)
-    return [value(x) for x in closed.jaxpr.outvars]
+    return evaluated(closed, args, constant, partial(_lowered, code))
 
 
 def _lowered(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
@@ -57,8 +52,7 @@ def _lowered(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
     if name in CONTROL:
         return CONTROL[name](code, eqn, args)
     if name in MEMORY:
-        found = MEMORY[name](code, params, args)
-        return found if isinstance(found, list) else [found]
+        return MEMORY[name](code, params, args)
     if name in ("broadcast_in_dim", "copy", "reshape", "squeeze"):  # scalars become vectors where they are used
         return args
     if name == "reduce_or":
@@ -201,7 +195,7 @@ def _while(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
 def _cond(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
     number, (index, *given), branches = next(code.numbers), args, eqn.params["branches"]
     flags = [arg.uniform for arg in given]
-    uniform = [all(each) for each in zip(*(uniform_results(branch.jaxpr, flags) for branch in branches), strict=True)]
+    uniform = [all(each) for each in zip(*(uniform_results(branch, flags) for branch in branches), strict=True)]
     chosen = _converted(code, index, np.dtype(bool), index.type, "0", "")
     code.add(f"br i1 {chosen.name}, label %yes{number}, label %no{number}")
     found = []

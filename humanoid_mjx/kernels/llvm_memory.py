@@ -11,62 +11,52 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 
 from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, known, type_of
-from humanoid_mjx.kernels.memory import THREADS, Region, bits
+from humanoid_mjx.kernels.memory import THREADS, Region
 
-NAMES = "read_words", "write_word", "add_words", "fill_words", "constant"
-read_words, write_word, add_words, fill_words, read_constant = map(Primitive, NAMES)
-"""Memory of each world. The first argument is the token, for jax; code keeps the order in which they were traced."""
+read_words, write_words, add_words = map(Primitive, ("read_words", "write_words", "add_words"))
+"""Memory of each world. The first argument is the token, for jax; code keeps the order in which they were traced. The
+last is the place, if there is one."""
 
 read_words.multiple_results = True
 read_words.def_abstract_eval(lambda *_, dtype, count, **place: [ShapedArray((THREADS,), dtype)] * count)
-read_constant.def_abstract_eval(lambda *_, table, word, dtype: ShapedArray((THREADS,), dtype))
-for _primitive in (write_word, add_words, fill_words):
+for _primitive in (write_words, add_words):
     _primitive.def_abstract_eval(lambda *_, **params: ShapedArray((THREADS,), np.int32))
 
 
 class Words(Region):
-    """Words of each world, for `lower`; see `Region`."""
+    """Words of each world, for `lower`; see `Region`.
 
-    def __init__(self, number: int | str, words: int):
-        self.number, self.words, self.seen, self.address = number, words, [], None
+    Args:
+      region: a number, for memory that the code reserves; the name of an array of the caller, (worlds, words); or words
+        that are known while tracing, the same for all worlds.
+      words: how many of each world.
+    """
+
+    def __init__(self, region: int | str | tuple[int, ...], words: int):
+        self.where, self.seen, self.address = {"region": region, "words": words}, [], None
         self.token = jnp.zeros(THREADS, jnp.int32)
 
     def read(self, word: int, place: Any, dtype: Any) -> Any:
-        return read_words.bind(self.token, *_some(place), **self._where(word), dtype=np.dtype(dtype), count=1)[0]
-
-    def write(self, word: int, place: Any, values: Any) -> None:
-        values = values.astype(jnp.int32) if values.dtype == bool else values
-        self.token = write_word.bind(self.token, values, *_some(place), **self._where(word))
-
-    def add(self, word: int, place: Any, changes: Sequence[Any]) -> None:
-        self.token = add_words.bind(self.token, place, *changes, **self._where(word))
-
-    def fill(self, word: int, count: int, bits: int) -> None:
-        self.token = fill_words.bind(self.token, **self._where(word), count=count, bits=bits)
-
-    def settle(self) -> Any:
-        return self.token
-
-    def _where(self, word: int) -> dict[str, Any]:
-        return {"region": self.number, "words": self.words, "word": word}
-
-
-class Given(Words):
-    """Words of each world in an array of the caller, (worlds, words), which the code has by a name."""
+        return self._read(word, place, dtype, 1)[0]
 
     def row(self, word: int, place: Any, dtype: Any, count: int) -> list[Any]:
-        return read_words.bind(self.token, *_some(place), **self._where(word), dtype=np.dtype(dtype), count=count)
+        together = isinstance(self.where["region"], str)
+        return self._read(word, place, dtype, count) if together else super().row(word, place, dtype, count)
 
+    def write(self, word: int, place: Any, values: Any) -> None:
+        self._change(write_words, word, place, [values.astype(jnp.int32) if values.dtype == bool else values])
 
-class Table(Words):
-    """Words that are known while tracing, the same for all worlds."""
+    def add(self, word: int, place: Any, changes: Sequence[Any]) -> None:
+        self._change(add_words, word, place, changes)
 
-    def __init__(self, number: int, words: Sequence[np.generic]):
-        super().__init__(number, 0)
-        self.table = tuple(map(bits, words))
+    def fill(self, word: int, count: int, bits: int) -> None:
+        self._change(write_words, word, None, [jnp.full(THREADS, bits, jnp.int32)] * count)
 
-    def read(self, word: int, place: Any, dtype: Any) -> Any:
-        return read_constant.bind(self.token, *_some(place), table=self.table, word=word, dtype=np.dtype(dtype))
+    def _read(self, word: int, place: Any, dtype: Any, count: int) -> list[Any]:
+        return read_words.bind(self.token, *_some(place), **self.where, word=word, dtype=np.dtype(dtype), count=count)
+
+    def _change(self, primitive: Primitive, word: int, place: Any, values: Sequence[Any]) -> None:
+        self.token = primitive.bind(self.token, *values, *_some(place), **self.where, word=word, count=len(values))
 
 
 def _some(place: Any) -> list[Any]:
@@ -79,9 +69,9 @@ def _read(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
     pointers, whole, one = f"<{WIDTH} x ptr>", f"<{WIDTH} x i64>", type_of(dtype, False)
     all_of_them, both = (f"<{WIDTH} x i1>", "splat (i1 true)"), one.replace(str(WIDTH), str(2 * WIDTH), 1)
     for each in range(0, count, 2):
-        address = _address(code, params | {"word": params["word"] + each}, args[1:])
+        address = _address(code, params, each, args[1:])
         if each == count - 1:
-            found.append(_loaded(code, address, dtype, WIDTH))
+            found.append(_loaded(code, address, dtype, 1 if isinstance(params["region"], tuple) else WIDTH))
             continue
         at = (pointers, address.name), ("i32", "4"), all_of_them, (whole, "poison")
         pairs = code.value(
@@ -107,24 +97,29 @@ def _loaded(code: Code, address: Value, dtype: np.dtype, apart: int) -> Value:
     )
 
 
-def _written(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
-    return _store(code, args[1], _address(code, params, args[2:]))
+def _written(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
+    values, place = args[1 : 1 + params["count"]], args[1 + params["count"] :]
+    for word, value in enumerate(values):
+        _store(code, value, _address(code, params, word, place))
+    return [known(0, np.int32)]
 
 
-def _added(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
+def _added(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
     """Products are rounded before they are added, as by XLA."""
-    if len(args) > 3 and isinstance(params["region"], str):
-        return _added_seldom(code, params, replace(args[1], name=code.vector(args[1]), uniform=False), args[2:])
-    for word, change in enumerate(args[2:], params["word"]):
-        address = _address(code, params | {"word": word}, args[1:2])
+    _, *changes, place = args
+    if len(changes) > 1 and isinstance(params["region"], str):
+        _add_seldom(code, params, replace(place, name=code.vector(place), uniform=False), changes)
+        return [known(0, np.int32)]
+    for word, change in enumerate(changes):
+        address = _address(code, params, word, [place])
         old = _loaded(code, address, change.dtype, WIDTH)
         add = "fadd" if change.dtype.kind == "f" else "add"
         new = code.value(f"{add} {old.type} {old.name}, {code.vector(change)}")
         _store(code, Value(new, change.dtype, False), address)
-    return known(0, np.int32)
+    return [known(0, np.int32)]
 
 
-def _added_seldom(code: Code, params: dict[str, Any], place: Value, changes: list[Value]) -> Value:
+def _add_seldom(code: Code, params: dict[str, Any], place: Value, changes: list[Value]) -> None:
     """Add words that follow each other in those worlds alone where one of them is not 0, world by world.
 
     In most steps there is none: what a step adds to a learning curve is 0 unless it ends an episode.
@@ -164,10 +159,9 @@ def _added_seldom(code: Code, params: dict[str, Any], place: Value, changes: lis
     code.add(f"{rest} = and {worlds} {left}, {code.value(f'sub {worlds} {left}, 1')}")
     code.add(f"br i1 {code.value(f'icmp ne {worlds} {rest}, 0')}, label %each{number}, label %none{number}")
     code.begin(f"none{number}")
-    return known(0, np.int32)
 
 
-def _store(code: Code, value: Value, address: Value) -> Value:
+def _store(code: Code, value: Value, address: Value) -> None:
     kind, vector = type_of(value.dtype, False), code.vector(value)
     if address.uniform:
         code.add(f"store {kind} {vector}, ptr {address.name}, align {4 * WIDTH}")
@@ -175,34 +169,21 @@ def _store(code: Code, value: Value, address: Value) -> Value:
         name = f"masked.scatter.v{WIDTH}{'f32' if value.dtype.kind == 'f' else 'i32'}.v{WIDTH}p0"
         pointers, all_of_them = (f"<{WIDTH} x ptr>", address.name), (f"<{WIDTH} x i1>", "splat (i1 true)")
         code.call("void", name, (kind, vector), pointers, ("i32", "4"), all_of_them)
-    return known(0, np.int32)
 
 
-def _filled(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
-    word = code.vector(known(params["bits"], np.int32))
-    for each in range(params["count"]):
-        address = _address(code, params | {"word": params["word"] + each}, [])
-        code.add(f"store <{WIDTH} x i32> {word}, ptr {address.name}, align {4 * WIDTH}")
-    return known(0, np.int32)
-
-
-def _address(code: Code, params: dict[str, Any], place: list[Value]) -> Value:
-    """Address of the vector of a word of memory, so many words from a place; or of each world's own word."""
-    region, words = params["region"], params["words"]
+def _address(code: Code, params: dict[str, Any], more: int, place: list[Value]) -> Value:
+    """Address of a word, so many behind the first; its vector, or each world's own, or that of all worlds."""
+    region, words, word = params["region"], params["words"], params["word"] + more
+    if isinstance(region, tuple):
+        table = code.tables.setdefault(region, len(code.tables))
+        return _beyond(code, f"@table{table}", word, place, 1, "zeroinitializer")
     if isinstance(region, str):
         lanes = f"<{', '.join(f'i32 {lane * words}' for lane in range(WIDTH))}>"
         at = code.vector(place[0] if place else known(0, np.int32))
-        return _beyond(code, f"%{region}", params["word"], [Value(at, np.dtype(np.int32), False)], 1, lanes)
+        return _beyond(code, f"%{region}", word, [Value(at, np.dtype(np.int32), False)], 1, lanes)
     code.regions[region] = words
     lanes = f"<{', '.join(f'i32 {lane}' for lane in range(WIDTH))}>"
-    return _beyond(code, f"%region{region}", params["word"], place, WIDTH, lanes)
-
-
-def _constant(code: Code, params: dict[str, Any], args: list[Value]) -> Value:
-    table = code.tables.setdefault(params["table"], len(code.tables))
-    return _loaded(
-        code, _beyond(code, f"@table{table}", params["word"], args[1:], 1, "zeroinitializer"), params["dtype"], 1
-    )
+    return _beyond(code, f"%region{region}", word, place, WIDTH, lanes)
 
 
 def _beyond(code: Code, base: str, word: int, place: list[Value], apart: int, lanes: str) -> Value:
@@ -219,10 +200,8 @@ def _beyond(code: Code, base: str, word: int, place: list[Value], apart: int, la
     return Value(code.value(f"getelementptr i32, ptr {base}, {kind} {index}"), pointer, False)
 
 
-MEMORY: dict[str, Callable[..., Value | list[Value]]] = {
+MEMORY: dict[str, Callable[[Code, dict[str, Any], list[Value]], list[Value]]] = {
     "read_words": _read,
-    "write_word": _written,
+    "write_words": _written,
     "add_words": _added,
-    "fill_words": _filled,
-    "constant": _constant,
 }

@@ -1,4 +1,35 @@
-"""The primitives of jax that more than one reader of traced functions knows."""
+"""Reading of traced functions, and the primitives of jax that more than one reader knows."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal
+
+T = TypeVar("T")
+
+
+def evaluated(
+    closed: ClosedJaxpr, args: Sequence[T], known: Callable[[Any], T], apply: Callable[[Any, list[T]], Sequence[T]]
+) -> list[T]:
+    """The results of a traced function.
+
+    Args:
+      closed: the function.
+      args: values of its arguments, of any kind.
+      known: from an array that is known while tracing to its value.
+      apply: from an operation, and the values that it takes, to those that it gives.
+    """
+    values: dict[Any, T] = dict(zip(closed.jaxpr.constvars, map(known, closed.consts), strict=True))
+    values |= zip(closed.jaxpr.invars, args, strict=True)
+
+    def value(x: Any) -> T:
+        return known(np.asarray(x.val, x.aval.dtype)) if isinstance(x, Literal) else values[x]
+
+    for eqn in closed.jaxpr.eqns:
+        values |= zip(eqn.outvars, apply(eqn, [value(x) for x in eqn.invars]), strict=True)
+    return [value(x) for x in closed.jaxpr.outvars]
+
 
 ELEMENTWISE = frozenset(
     (

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jaxtyping import Array
 
 from humanoid_mjx.kernels.arrangements import ARRANGEMENTS, arranged, constant
@@ -41,7 +41,7 @@ from humanoid_mjx.kernels.elements import (
     vector,
 )
 from humanoid_mjx.kernels.memory import THREADS, Region, bits
-from humanoid_mjx.kernels.primitives import CALLS
+from humanoid_mjx.kernels.primitives import CALLS, evaluated
 from humanoid_mjx.kernels.uniform import uniform_carry, uniform_results
 
 
@@ -130,17 +130,7 @@ class Threads:
         Raises:
           NotImplementedError: it does something else than arithmetic, or its indices are not known while tracing.
         """
-        values: dict[Any, Held] = dict(zip(closed.jaxpr.constvars, map(constant, closed.consts), strict=True))
-        values |= zip(closed.jaxpr.invars, args, strict=True)
-
-        def value(x: Any) -> Held:
-            kind: Any = x.aval
-            return constant(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
-
-        for eqn in closed.jaxpr.eqns:
-            found = self._apply(eqn, [value(x) for x in eqn.invars])
-            values |= zip(eqn.outvars, found, strict=True)
-        return [value(x) for x in closed.jaxpr.outvars]
+        return evaluated(closed, args, constant, self._apply)
 
     def vectors(self, array: Held) -> list[Array]:
         """The elements of an array as vectors, one for all lanes of a world where they have an axis."""
@@ -421,7 +411,7 @@ class Threads:
         if self.single:
             same = [not isinstance(arg, Kept) and all(np.ndim(x) == 0 for x in arg.flat) for arg in args]
             uniform = uniform_carry(eqn, same, of_one=True)
-            if uniform_results(eqn.params["cond_jaxpr"].jaxpr, [*same[:first], *uniform], of_one=True) != [True]:
+            if uniform_results(eqn.params["cond_jaxpr"], [*same[:first], *uniform], of_one=True) != [True]:
                 raise NotImplementedError("threads know no loop that ends earlier in one world than in another")
         given = self._with_room(args, _looked_up_in_loop(eqn, {*ENTRIES, SUM}), last)
         cond_fixed, body_fixed, start = given[:first], given[first:last], given[last:]

@@ -3,33 +3,29 @@
 from collections.abc import Sequence
 from typing import Any
 
-from jax.extend.core import Literal
+from jax.extend.core import ClosedJaxpr
 
-from humanoid_mjx.kernels.primitives import CALLS
+from humanoid_mjx.kernels.primitives import CALLS, evaluated
 
 
-def uniform_results(jaxpr: Any, given: Sequence[bool], of_one: bool = False) -> list[bool]:
+def uniform_results(closed: ClosedJaxpr, given: Sequence[bool], of_one: bool = False) -> list[bool]:
     """Return which results of a traced function are uniform; `given`: which arguments are. `of_one`: the function is of
     one world, and its reductions are over a world's own numbers."""
-    known = dict.fromkeys(jaxpr.constvars, True) | dict(zip(jaxpr.invars, given, strict=True))
 
-    def uniform(x: Any) -> bool:
-        return isinstance(x, Literal) or known[x]
-
-    for eqn in jaxpr.eqns:
-        name, params, flags = eqn.primitive.name, eqn.params, [uniform(x) for x in eqn.invars]
+    def uniform(eqn: Any, flags: list[bool]) -> Sequence[bool]:
+        name, params = eqn.primitive.name, eqn.params
         if name in CALLS:
-            found = uniform_results(params[CALLS[name]].jaxpr, flags, of_one)
-        elif name == "while":
-            found = uniform_carry(eqn, flags, of_one)
-        elif name == "cond":
-            each = (uniform_results(branch.jaxpr, flags[1:], of_one) for branch in params["branches"])
-            found = [flags[0] and all(same) for same in zip(*each, strict=True)]
-        else:
-            of_all = name == "reduce_or" and not of_one
-            found = [of_all or (name != "read_words" and all(flags))] * len(eqn.outvars)
-        known |= zip(eqn.outvars, found, strict=True)
-    return [uniform(x) for x in jaxpr.outvars]
+            return uniform_results(params[CALLS[name]], flags, of_one)
+        if name == "while":
+            return uniform_carry(eqn, flags, of_one)
+        if name == "cond":
+            each = (uniform_results(branch, flags[1:], of_one) for branch in params["branches"])
+            return [flags[0] and all(same) for same in zip(*each, strict=True)]
+        of_all = name == "reduce_or" and not of_one
+        own = name == "read_words" and not isinstance(params["region"], tuple)  # those are words of all worlds
+        return [of_all or (not own and all(flags))] * len(eqn.outvars)
+
+    return evaluated(closed, given, lambda _: True, uniform)
 
 
 def uniform_carry(eqn: Any, given: Sequence[bool], of_one: bool = False) -> list[bool]:
@@ -38,7 +34,7 @@ def uniform_carry(eqn: Any, given: Sequence[bool], of_one: bool = False) -> list
     first, last = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
     carry = list(given[last:])
     while True:
-        found = uniform_results(params["body_jaxpr"].jaxpr, [*given[first:last], *carry], of_one)
+        found = uniform_results(params["body_jaxpr"], [*given[first:last], *carry], of_one)
         both = [one and two for one, two in zip(carry, found, strict=True)]
         if both == carry:
             return carry
