@@ -99,9 +99,7 @@ def computed(
             return KNOWN[name](*args)
         with jax.ensure_compile_time_eval():
             return np.asarray(bind(*map(jnp.asarray, args), **params))[()]
-    if name in FOLDS and (found := FOLDS[name](*args)) is not None:
-        return found
-    if not as_xla and name in SIGNED and (found := SIGNED[name](*args)) is not None:
+    if name in ("add", "and", "div", "mul", "sub") and (found := _folded(name, *args, as_xla)) is not None:
         return found
     if name == "round":
         return _rounded(params, vector(args[0]))
@@ -116,44 +114,21 @@ def computed(
     return bind(*(vector(arg) for arg in args), **params)
 
 
-def _sum(a: Element, b: Element) -> Element | None:
-    return b if _is(a, 0) else a if _is(b, 0) else None
-
-
-def _product(a: Element, b: Element) -> Element | None:
-    """Of 0 and what is not finite 0, too."""
+def _folded(name: str, a: Element, b: Element, as_xla: bool) -> Element | None:
+    """The result where known numbers make an operation superfluous, or None; a product of 0 is 0, also with what is
+    not finite. `as_xla`: no result whose sign of a 0, or what is not finite, may be another than XLA's."""
     for one, two in ((a, b), (b, a)):
-        if _is(one, 0) or _is(two, 1):
+        if (name == "add" and _is(one, 0)) or (name == "mul" and _is(one, 1)):
+            return two
+        if name == "mul" and _is(one, 0):
             return one
-    return None
-
-
-def _both(a: Element, b: Element) -> Element | None:
-    for one, two in ((a, b), (b, a)):
-        if isinstance(one, np.bool_):
+        if name == "mul" and _is(one, -1) and not as_xla:
+            return lax.neg(two)
+        if name == "and" and isinstance(one, np.bool_):
             return two if one else one
-    return None
-
-
-def _difference(a: Element, b: Element) -> Element | None:
-    return lax.neg(b) if _is(a, 0) else None
-
-
-def _negative(a: Element, b: Element) -> Element | None:
-    return lax.neg(b) if _is(a, -1) else lax.neg(a) if _is(b, -1) else None
-
-
-FOLDS: dict[str, Callable[..., Element | None]] = {
-    "add": _sum,
-    "and": _both,
-    "div": lambda a, b: a if _is(a, 0) else None,
-    "mul": _product,
-    "sub": lambda a, b: a if _is(b, 0) else None,
-}
-"""By primitive: the result where known numbers make the operation superfluous, or None."""
-
-SIGNED: dict[str, Callable[..., Element | None]] = {"mul": _negative, "sub": _difference}
-"""The same where the sign of a 0 or what is not finite may come out otherwise than by XLA."""
+    if (name == "sub" and _is(b, 0)) or (name == "div" and _is(a, 0)):
+        return a
+    return lax.neg(b) if name == "sub" and _is(a, 0) and not as_xla else None
 
 
 def _rounded(params: dict[str, Any], x: Array) -> Array:
