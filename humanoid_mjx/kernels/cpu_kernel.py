@@ -161,7 +161,9 @@ def written(known: Signature) -> tuple[str, list[Kind], dict[int, int]]:
     code, found, in_place = Code(), [], {}
 
     def results(numbers: Sequence[Array]) -> list[Array]:
-        threads = Threads(1, _own, _own, jnp.any, Words, lambda _, table: Words(tuple(map(bits, table)), 0), known.single)
+        threads = Threads(
+            1, _own, _own, jnp.any, Words, lambda _, table: Words(tuple(map(bits, table)), 0), known.single
+        )
         rows, kinds, places = known.evaluate(threads, numbers, lambda place, kind: Words(f"given{place}", kind.size))
         found.extend(kinds)
         in_place.update(places)

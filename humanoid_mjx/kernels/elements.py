@@ -13,9 +13,9 @@ from jaxtyping import Array
 
 from humanoid_mjx.kernels.angles import ANGLES
 from humanoid_mjx.kernels.memory import THREADS
-from humanoid_mjx.kernels.primitives import ELEMENTWISE
+from humanoid_mjx.kernels.primitives import ELEMENTWISE, FUNCTIONS
 
-ARITHMETIC = ELEMENTWISE | ANGLES.keys() | {"atan2", "bitcast_convert_type", "erf_inv", "pow", "rsqrt", "tan"}
+ARITHMETIC = ELEMENTWISE | FUNCTIONS | {"bitcast_convert_type", "erf_inv", "rsqrt"}
 """Primitives that act on each element alone."""
 
 

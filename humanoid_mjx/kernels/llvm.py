@@ -81,9 +81,9 @@ class Code:
             return ""
         return self.value(f"call {'nsz contract ' * ('float' in result)}{call}")
 
-    def vector(self, value: Value) -> str:
-        """The name of a value as a vector."""
-        if not value.uniform:
+    def vector(self, value: Value, uniform: bool = False) -> str:
+        """The name of a value as a vector; if `uniform`, as the scalar that it is."""
+        if uniform or not value.uniform:
             return value.name
         if value.name[0] != "%":
             return f"splat ({value.type} {value.name})"

@@ -41,6 +41,9 @@ ELEMENTWISE = frozenset(
 )
 """Primitives that act on each element alone; more than these are known to one reader or the other."""
 
+FUNCTIONS = frozenset(("atan2", "ceil", "cos", "exp", "floor", "log", "pow", "sin", "sqrt", "tan"))
+"""Likewise, of floats; LLVM has an intrinsic of each name."""
+
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
 CALLS |= {"custom_vmap_call": "call"}
 """Primitives that call a traced function, and the parameter that holds it."""
