@@ -36,7 +36,7 @@ def test_boxes_touch_where_they_do_in_mujoco(halves):
         contact = data.contact
         expected.append((contact.pos.copy(), contact.frame[:, :3].copy(), contact.dist.copy()))
     at, axes = (np.array(part) for part in zip(*poses, strict=True))
-    boxes = [Placed(tuple(at[:, k].T), tuple(tuple(axes[:, k, :, j].T) for j in range(3)), halves[k]) for k in range(2)]
+    boxes = [Placed(at[:, k].T, axes[:, k].T, np.array(halves[k])[:, None]) for k in range(2)]
     places, normals, distances = (np.array(x) for x in jax.jit(lambda one, two: box_contacts(one, two, MARGIN))(*boxes))
     kinds = set()
     for row, (place, normal, distance) in enumerate(expected):
