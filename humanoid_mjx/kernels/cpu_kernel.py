@@ -66,11 +66,6 @@ def _compiled_of(code: str) -> str:
     return name
 
 
-def _own(values: Array, *_: int) -> Array:
-    """What a world's only thread holds."""
-    return values
-
-
 _objects: dict[str, bytes] = {}
 """Compiled functions of this process by name."""
 
@@ -161,9 +156,7 @@ def written(known: Signature) -> tuple[str, list[Kind], dict[int, int]]:
     code, found, in_place = Code(), [], {}
 
     def results(numbers: Sequence[Array]) -> list[Array]:
-        threads = Threads(
-            1, _own, _own, jnp.any, Words, lambda _, table: Words(tuple(map(bits, table)), 0), known.single
-        )
+        threads = Threads(known.single, Words, lambda _, table: Words(tuple(map(bits, table)), 0))
         rows, kinds, places = known.evaluate(threads, numbers, lambda place, kind: Words(f"given{place}", kind.size))
         found.extend(kinds)
         in_place.update(places)

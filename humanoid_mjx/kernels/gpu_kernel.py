@@ -229,7 +229,7 @@ def _threads(lanes: int, interpret: bool, constants: Callable[[int, Words], Regi
     """The threads of a block; with `constants`, which makes memory of known words, of functions of one world."""
     shuffled, summed = (partial(each, power_of_two(lanes), interpret) for each in (_shuffled, _summed))
     region, fixed = (partial(kind, interpret=interpret) for kind in (Region, Constants))
-    return Threads(lanes, shuffled, summed, _any, region, constants or fixed, single=constants is not None)
+    return Threads(constants is not None, region, constants or fixed, _any, lanes, shuffled, summed)
 
 
 class _Stage(NamedTuple):

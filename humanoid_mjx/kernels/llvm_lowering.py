@@ -10,8 +10,7 @@ from jax.extend.core import ClosedJaxpr
 
 from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, known, type_of
 from humanoid_mjx.kernels.llvm_memory import MEMORY
-from humanoid_mjx.kernels.primitives import CALLS, FUNCTIONS, evaluated
-from humanoid_mjx.kernels.uniform import uniform_carry, uniform_results
+from humanoid_mjx.kernels.primitives import CALLS, FUNCTIONS, evaluated, uniform_carry, uniform_results
 
 COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
 WORDS = {name: name for name in ("add", "and", "mul", "or", "sub", "xor")}

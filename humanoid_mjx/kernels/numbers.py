@@ -41,7 +41,7 @@ def scalarised(function: Function) -> Function:
         traced, shapes = jax.make_jaxpr(of_traced, return_shape=True)(*(leaves[place] for place in places))
         given = [arranged(jnp.unstack(leaves[place].reshape(-1)), leaves[place].shape) for place in places]
         try:
-            found = Threads(1, _own, _own, jnp.any, _no_memory, _no_memory).evaluate(traced, given)
+            found = Threads().evaluate(traced, given)
         except Exception as error:  # whatever it is, XLA does not need it
             fallback.warn(error)
             return function(*args)
@@ -49,11 +49,3 @@ def scalarised(function: Function) -> Function:
         return jax.tree.unflatten(jax.tree.structure(shapes), arrays)
 
     return written  # pyright: ignore[reportReturnType]
-
-
-def _own(value: Any, *_: Any) -> Any:
-    return value
-
-
-def _no_memory(*_: Any) -> Any:
-    raise NotImplementedError("functions of single numbers look up no entries")

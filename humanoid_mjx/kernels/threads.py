@@ -41,8 +41,7 @@ from humanoid_mjx.kernels.elements import (
     vector,
 )
 from humanoid_mjx.kernels.memory import THREADS, Region, bits
-from humanoid_mjx.kernels.primitives import CALLS, evaluated
-from humanoid_mjx.kernels.uniform import uniform_carry, uniform_results
+from humanoid_mjx.kernels.primitives import CALLS, evaluated, uniform_carry, uniform_results
 
 
 @dataclass(eq=False)
@@ -92,28 +91,32 @@ Held = np.ndarray | Kept
 """An array of elements, or one in memory."""
 
 
+def _none(*_: Any) -> Any:
+    raise NotImplementedError("functions of single numbers look up no entries")
+
+
 class Threads:
     """An interpreter of traced functions.
 
     Args:
+      single: evaluate functions of one world, whose arrays have no axis of worlds, and keep the order of sums.
+      region: from a number and a count to so many words of memory, `Region`.
+      constants: from a number and known words to memory of these, `Constants`.
+      any_of: from a vector of flags to whether any is true.
       lanes: of a world; 1 where a world has one thread.
       shuffled: from a vector and a lane to the vector of what the thread of that lane of each world holds.
       summed: from a vector of float32 to its sums over the threads of each world.
-      any_of: from a vector of flags to whether any is true.
-      region: from a number and a count to so many words of memory, `Region`.
-      constants: from a number and known words to memory of these, `Constants`.
-      single: evaluate functions of one world, whose arrays have no axis of worlds, and keep the order of sums.
     """
 
     def __init__(
         self,
-        lanes: int,
-        shuffled: Callable[[Array, int], Array],
-        summed: Callable[[Array], Array],
-        any_of: Callable[[Array], Array],
-        region: Callable[[int, int], Region],
-        constants: Callable[[int, Sequence[np.generic]], Region],
         single: bool = False,
+        region: Callable[[int, int], Region] = _none,
+        constants: Callable[[int, Sequence[np.generic]], Region] = _none,
+        any_of: Callable[[Array], Array] = jnp.any,
+        lanes: int = 1,
+        shuffled: Callable[[Array, int], Array] = _none,
+        summed: Callable[[Array], Array] = _none,
     ):
         self.lanes, self.shuffled, self.summed, self.any_of = lanes, shuffled, summed, any_of
         self.region, self.constants, self.single = region, constants, single

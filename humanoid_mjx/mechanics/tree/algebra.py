@@ -155,19 +155,9 @@ def with_entry(values: Any, index: Any, new: Any) -> Any:
     return jax.lax.dynamic_update_index_in_dim(values, new, index.astype(jnp.uint32), 0)
 
 
-def in_turn(function: Callable[..., Thing], *rows: Any, count: Any) -> Thing:
-    """`function` of pytrees of arrays with a first axis of rows, which it does not mix.
-
-    The first `count` rows are taken in turn, and what others give is 0: a loop's code stays in the cache of
-    instructions.
-    """
-    size = len(jax.tree.leaves(rows)[0])
-    return filled(lambda at: function(*jax.tree.map(lambda v: entry_at(v, at), rows)), size, count)[1]
-
-
 def filled(row: Callable[[Any], Thing], size: Any, count: Any) -> tuple[Any, Thing]:
     """How many rows are filled, and `row` of each of the first `count` indices as a pytree of arrays of this size,
-    which are else 0."""
+    which are else 0: a loop's code stays in the cache of instructions."""
 
     def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         each = zip(carry[1], jax.tree.leaves(row(carry[0])), strict=True)

@@ -17,7 +17,6 @@ from humanoid_mjx.mechanics.tree.algebra import (
     entry_at,
     filled,
     in_lane,
-    in_turn,
     numbers,
     stacked,
     turn,
@@ -71,10 +70,11 @@ class Slots(NamedTuple):
         rates = unfolded(x, tree.dofs)
         rates = stacked([rates[dof] for dof in self.dofs])[:, None]
 
-        def facets(touch: Touch, rows: Any) -> Any:
+        def facets(index: Any) -> Any:
+            touch, rows = jax.tree.map(lambda v: entry_at(v, index), (self.touch, self.rows))
             return touch.facets(touch.offset + (rates * rows).sum(axis=0))
 
-        return in_turn(facets, self.touch, self.rows, count=self.count)
+        return filled(facets, len(self.rows), self.count)[1]
 
     def active(self, tree: Tree, x: Sequence[Any]) -> Flags:
         """Masks of the facets that push."""
