@@ -41,19 +41,3 @@ def jacobian_of(
     by degree of freedom, angular then linear, of a body's point at `origin`, m, world (MuJoCo's `cdof`)."""
     columns = motion[:, 3:] + jnp.cross(motion[:, :3], (position - origin)[:, None])
     return jnp.swapaxes(jnp.where(moved_by[..., None], columns, 0.0), -1, -2)
-
-
-def drift_of(
-    position: Float[Array, "points 3"],
-    velocity: Float[Array, "points 3"],
-    moved_by: Bool[AnyArray, "points nv"],
-    motion: Float[Array, "nv 6"],
-    motion_rate: Float[Array, "nv 6"],
-    qvel: Float[Array, " nv"],
-    origin: Float[Array, "3"],
-) -> Float[Array, "points 3"]:
-    """Drift of the same points, which move at `velocity`; `motion_rate` is MuJoCo's `cdof_dot`."""
-    speeds = jnp.where(moved_by, qvel, 0.0)
-    rate = speeds @ motion_rate
-    turning = jnp.cross(speeds @ motion[:, :3], velocity)
-    return rate[:, 3:] + jnp.cross(rate[:, :3], position - origin) + turning

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from pydantic import Field, model_validator
 
 from humanoid_mjx.control.stages import Stages
-from humanoid_mjx.mechanics.contacts import Contacts, drift_of, jacobian_of
+from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.refusing import robot_faults
 from humanoid_mjx.physics.base import GroundContacts, Once, Physics, Poses, Readings, Sensed, Velocities, World
@@ -184,7 +184,9 @@ class MujocoPhysics(Physics):
         _, moved_by = self.ground_points
         position = lowest(self.model, centers)
         jacobian = jacobian_of(position, moved_by, cdof, origin)
-        drift = drift_of(position, jacobian @ qvel, moved_by, cdof, cdof_dot, qvel, origin)
+        speeds = jnp.where(moved_by, qvel, 0.0)
+        rate, spin = speeds @ cdof_dot, speeds @ cdof[:, :3]
+        drift = rate[:, 3:] + jnp.cross(rate[:, :3], position - origin) + jnp.cross(spin, jacobian @ qvel)
         return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
     def _read(self, sensordata: Float[AnyArray, " sensors"], names: Sequence[str]) -> Float[AnyArray, " values"]:

@@ -7,7 +7,7 @@ of some 1,000 worlds for each core.
 """
 
 from functools import lru_cache, partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -186,49 +186,37 @@ def _state(tree: Tree, values: mechanics.Values, qpos: Any, qvel: Any) -> mechan
     return mechanics.make_state(tree, values, positions, mechanics.folded(qvel[:, None], tree.dofs))
 
 
-class _Step(NamedTuple):
-    """A time step before the world moves."""
-
-    state: mechanics.State
-    problem: mechanics.Problem
-    solution: mechanics.Solution
-    motor: Any
-
-
-def _solved(tree: Tree, values: mechanics.Values, world: Parts, torque: Any) -> _Step:
-    qpos, qvel, warmstart, diverged = world
-    state = _state(tree, values, qpos, qvel)
-    motor, near = mechanics.motor_forces(tree, torque), mechanics.folded(warmstart[:, None], tree.dofs)
-    return _Step(state, *mechanics.accelerate(tree, values, state, motor, near, diverged), motor)
-
-
-def _advance(tree: Tree, values: mechanics.Values, world: Parts, torque: Any) -> Parts:
-    """One time step."""
-    return _moved(tree, values, _solved(tree, values, world, torque), world)
-
-
-def _moved(tree: Tree, values: mechanics.Values, step: _Step, world: Parts) -> Parts:
-    """The parts of the world after a time step; where it diverges or its contacts were not found they stay."""
+def _stepped(tree: Tree, values: mechanics.Values, world: Parts, torque: Any) -> tuple[Parts, tuple[Any, ...]]:
+    """The parts of the world after a time step, which stay where it diverges or its contacts were not found; its state,
+    its contact problem and the solution before."""
     *old, diverged = world
-    after, settled = mechanics.advance(tree, values, step.state, step.solution, step.motor)
+    state = _state(tree, values, *old[:2])
+    motor, near = mechanics.motor_forces(tree, torque), mechanics.folded(old[2][:, None], tree.dofs)
+    problem, solution = mechanics.accelerate(tree, values, state, motor, near, diverged)
+    after, settled = mechanics.advance(tree, values, state, solution, motor)
     stays = diverged | ~settled
     stays = stays | ~jnp.isfinite(after[0]).all(axis=0) | ~(jnp.abs(after[1]) <= MAX_SPEED).all(axis=0)
     kept = [jnp.where(stays, before, part) for before, part in zip(old, after, strict=True)]
-    return (*kept, stays)
+    return (*kept, stays), (state, problem, solution)
+
+
+def _advance(*given: Any) -> Parts:
+    """One time step."""
+    return _stepped(*given)[0]
 
 
 def _advance_sensed(
     tree: Tree, values: mechanics.Values, world: Parts, torque: Any, last: Any
 ) -> tuple[Parts, tuple[Any, ...]]:
     """One time step, and what is true at its beginning; where it is not the `last` one, zeros, which cost little."""
-    step = _solved(tree, values, world, torque)
+    parts, step = _stepped(tree, values, world, torque)
 
     def seen() -> tuple[Any, ...]:
-        found = sensing.sensed(tree, tree.gravity if values.gravity is None else values.gravity, *step[:3])
+        found = sensing.sensed(tree, tree.gravity if values.gravity is None else values.gravity, *step)
         return tuple(jnp.broadcast_to(x, (*jnp.shape(x)[:-1], *last.shape)) for x in found)
 
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(seen))
-    return _moved(tree, values, step, world), jax.lax.cond(last.any(), seen, lambda: nothing)
+    return parts, jax.lax.cond(last.any(), seen, lambda: nothing)
 
 
 @lru_cache

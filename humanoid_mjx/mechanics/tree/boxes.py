@@ -58,21 +58,6 @@ SLACKS = {4: Slack(1e-6, 1e-7, 1e-5, 1e-10), 8: Slack(1e-13, 1e-16, 1e-9, 1e-14)
 """MuJoCo's, by bytes of a number."""
 
 
-class _Best(NamedTuple):
-    """The axis along which the boxes overlap least."""
-
-    code: Any
-    """0 to 2: a face of the first box; 3 to 5: of the second; 6: two edges."""
-    face: Any
-    """The best of the faces."""
-    edges: tuple[Any, Any]
-    """Whose cross product is the best: of the first and of the second box."""
-    edge: Triple
-    """Cross product of the edges, in the first box's axes."""
-    apart: Any
-    """True if some axis separates the boxes."""
-
-
 def between_boxes(pairs: Pairs, kinematics: Kinematics) -> tuple[Any, Any, Any]:
     """Places against the origin, normals and distances, m, of all candidates, pair by pair."""
     one, two = (_placed(boxes[::CONTACTS], kinematics) for boxes in (pairs.ones, pairs.twos))
@@ -100,19 +85,19 @@ def box_contacts(one: Placed, two: Placed, margin: float) -> tuple[Triple, Tripl
     ahead, back = _along(one.axes, between), _along(two.axes, one.middle - two.middle)
     slack = SLACKS[ahead.dtype.itemsize]
     most = margin + slack.separation * (one.half.sum(axis=0) + two.half.sum(axis=0))
-    best = _least_overlap(turned, ahead, back, one.half, two.half, most, slack)
-    own = best.face < 3
+    code, face, apart, edges = _least_overlap(turned, ahead, back, one.half, two.half, most, slack)
+    own = face < 3
     spots, facing, depths, counts = _of_face(
-        jnp.where(own, best.face, best.face - 3),
+        jnp.where(own, face, face - 3),
         *_where(own, (one, two, turned, ahead), (two, one, turned.swapaxes(0, 1), back)),
         margin=margin,
         slack=slack,
     )
     facing = jnp.where(own, facing, -1.0 * facing)
-    place, normal, gap = _of_edges(best, turned, ahead, one.half, two.half, slack)
+    place, normal, gap = _of_edges(*edges, turned, ahead, one.half, two.half, slack)
     outward = one.axes.swapaxes(0, 1)
-    place, normal, crossed = one.middle + _along(outward, place), _along(outward, normal), best.code == 6
-    counts = jnp.where(crossed, (_numbered(CONTACTS, gap) == 0) & (gap <= most), counts) & ~best.apart
+    place, normal, crossed = one.middle + _along(outward, place), _along(outward, normal), code == 6
+    counts = jnp.where(crossed, (_numbered(CONTACTS, gap) == 0) & (gap <= most), counts) & ~apart
     spots, facing = jnp.where(crossed, place[:, None], spots), jnp.where(crossed, normal, facing)
     return spots, facing, jnp.where(counts, jnp.where(crossed, gap, depths), margin + 1.0)
 
@@ -150,8 +135,14 @@ def _rolled(index: Any, v: Triple) -> Triple:
 
 def _least_overlap(
     turned: Triple, ahead: Triple, back: Triple, one: Triple, two: Triple, most: Any, slack: Slack
-) -> _Best:
-    """The separating axis test. Further apart than `most`, m, is apart."""
+) -> tuple[Any, Any, Any, tuple[Any, Any, Triple]]:
+    """The separating axis test. Further apart than `most`, m, is apart.
+
+    Returns:
+      the axis along which the boxes overlap least, 0 to 2: a face of the first box, 3 to 5: of the second, 6: two
+      edges; the best of the faces; whether some axis separates the boxes; the edges, of the first and of the second
+      box, whose cross product is the best, and that in the first box's axes.
+    """
     size = abs(turned)
     overlaps = [abs(ahead) - one - _along(size, two), abs(back) - two - _along(size.swapaxes(0, 1), one)]
     overlaps = jnp.unstack(jnp.concatenate(overlaps))
@@ -179,15 +170,15 @@ def _least_overlap(
     edge = jnp.stack(edge)
     alike = abs(_pick(face, jnp.concatenate([edge, _along(turned.swapaxes(0, 1), edge)]))) > ALIGNED
     doubtful = (code == 6) & alike & (least < depth + SHALLOWER * abs(depth) + 1e-15)
-    return _Best(jnp.where(doubtful, face, code), face, edges, edge, apart)
+    return jnp.where(doubtful, face, code), face, apart, (*edges, edge)
 
 
 def _of_edges(
-    best: _Best, turned: Triple, ahead: Triple, one: Triple, two: Triple, slack: Slack
+    i: Any, j: Any, edge: Triple, turned: Triple, ahead: Triple, one: Triple, two: Triple, slack: Slack
 ) -> tuple[Triple, Triple, Any]:
-    """The place midway between two edges, and the normal, in the first box's axes, and the distance, m."""
-    axis = jnp.where(_dot(best.edge, ahead) < 0.0, -1.0, 1.0) * best.edge
-    i, j = best.edges
+    """The place midway between edges i and j, and the normal along `edge`, in the first box's axes, and the distance,
+    m."""
+    axis = jnp.where(_dot(edge, ahead) < 0.0, -1.0, 1.0) * edge
     back = turned.swapaxes(0, 1)
     along = _pick(j, back)
     cosine, half = _pick(i, along), (_pick(i, one), _pick(j, two))

@@ -30,7 +30,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
 from humanoid_mjx.mechanics.tree.boxes import between_boxes
 from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
-from humanoid_mjx.mechanics.tree.segments import Segment, nearest_points, segments
+from humanoid_mjx.mechanics.tree.segments import Segment, capsules, nearest_shares
 
 Friction = tuple[Any, Any] | Cone | None
 
@@ -256,7 +256,7 @@ def _gaps(pairs: st.Pairs, kinematics: Kinematics) -> Gap:
     """The gaps of pairs, with an axis that counts them."""
     if isinstance(pairs.ones[0], st.Box):
         return Gap(*between_boxes(pairs, kinematics))
-    return Gap(*_between(*(_capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))))
+    return Gap(*_between(*(capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))))
 
 
 def pair_gap_at(pairs: st.Pairs, kinematics: Kinematics) -> GapAt:
@@ -265,7 +265,7 @@ def pair_gap_at(pairs: st.Pairs, kinematics: Kinematics) -> GapAt:
         gaps = _gaps(pairs, kinematics)
         return lambda index: jax.tree.map(lambda v: entry_at(v, index), gaps)
     every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
-    table = _capsules(every, kinematics)
+    table = capsules(every, kinematics)
     # Of type float: Triton takes equal numbers for one operand, and integers are those of addresses, too.
     places = [np.array([[every.index(shape)] for shape in shapes], np.float32) for shapes in (pairs.ones, pairs.twos)]
 
@@ -282,14 +282,10 @@ def pair_touch(surface: st.Surface, gap: Gap, velocity: Any, friction: Friction)
     return _touch(surface, gap.place, _frame(gap.normal, None), gap.distance, velocity, friction)
 
 
-def _capsules(shapes: Sequence[st.Capsule], kinematics: Kinematics) -> tuple[Segment, Any]:
-    """Segments and radii."""
-    return segments(shapes, kinematics), np.stack([numbers(shape.radius) for shape in shapes])
-
-
 def _between(first: tuple[Segment, Any], second: tuple[Segment, Any]) -> tuple[Any, Any, Any]:
-    (one, radius), (two, other) = first, second
-    one, two = nearest_points(one, two)
+    ((one, along_one), radius), ((two, along_two), other) = first, second
+    x, y = nearest_shares(along_one, along_two, one - two)
+    one, two = one + scale(x, along_one), two + scale(y, along_two)
     between = two - one
     square = dot(between, between)
     # Centres that meet have no direction; MuJoCo takes one as well.

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
-from humanoid_mjx.mechanics.tree.algebra import dot, numbers, scale, stacked, turn
+from humanoid_mjx.mechanics.tree.algebra import dot, numbers, stacked, turn
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.structure import Capsule
 
@@ -17,15 +18,8 @@ Segment = tuple[Any, Any]
 """The middle, and the way from there to an end."""
 
 
-def nearest_points(first: Segment, second: Segment) -> tuple[Any, Any]:
-    """The nearest points of two segments."""
-    (one, along_one), (two, along_two) = first, second
-    x, y = nearest_shares(along_one, along_two, one - two)
-    return one + scale(x, along_one), two + scale(y, along_two)
-
-
-def segments(shapes: Sequence[Capsule], kinematics: Kinematics) -> Segment:
-    """The segments of capsules, one after another, against the origin, m."""
+def capsules(shapes: Sequence[Capsule], kinematics: Kinematics) -> tuple[Segment, np.ndarray]:
+    """The segments of capsules, one after another, against the origin, m, and their radii, m."""
 
     def placed(shape: Capsule) -> Segment:
         position, axes = kinematics.of_lane(shape.body, shape.lane)
@@ -34,7 +28,7 @@ def segments(shapes: Sequence[Capsule], kinematics: Kinematics) -> Segment:
 
     made = {shape: placed(shape) for shape in dict.fromkeys(shapes)}
     one, two = (stacked([made[shape][part] for shape in shapes]) for part in range(2))
-    return one, two
+    return (one, two), np.stack([numbers(shape.radius) for shape in shapes])
 
 
 def nearest_shares(a: Any, b: Any, apart: Any) -> tuple[Any, Any]:

@@ -27,7 +27,7 @@ def sensed(tree: Tree, gravity: Any, state: State, problem: Problem, solution: S
     """Gyroscopes and accelerometers, poses and velocities of the bodies, forces of the ground on the feet."""
     gravity = numbers(gravity) if isinstance(gravity, tuple) else gravity[:, None]
     motions = motions_of(tree, state.kinematics, solution.acceleration)
-    turning = [_gyroscope(state, site) for site in tree.gyroscopes]
+    turning = [_felt(state, site, state.motions[site.body][3:]) for site in tree.gyroscopes]
     felt = [_accelerometer(state, motions, gravity, site) for site in tree.accelerometers]
     pushes = _ground_forces(tree, problem, solution)
     readings = (jnp.concatenate(part) if part else jnp.zeros((0, 1)) for part in (turning, felt))
@@ -82,14 +82,9 @@ def _ground_forces(tree: Tree, problem: Problem, solution: Solution) -> list[Any
     residuals = ground_residuals(tree, at, problem.ground, solution.acceleration)
     for points, touch, v in zip(tree.ground, problem.ground, residuals, strict=True):
         lanes, force = tree.lanes if tree.bodies[points.body].laned else 1, touch.force(v)[:, 0]
-        each = jnp.broadcast_to(force, (tree.points_each(points), lanes, 1)).reshape(-1, 1, 1)
+        each = jnp.broadcast_to(force, (len(points.order) // lanes, lanes, 1)).reshape(-1, 1, 1)
         found |= dict(zip(points.order, each, strict=True))
     return [found[index] for index in range(len(found))]
-
-
-def _gyroscope(state: State, site: Site) -> Any:
-    """The angular velocity, rad/s, in the site's frame."""
-    return _felt(state, site, state.motions[site.body][3:])
 
 
 def _accelerometer(state: State, motions: list[Any], gravity: Any, site: Site) -> Any:

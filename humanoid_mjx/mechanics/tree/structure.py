@@ -266,10 +266,6 @@ class Tree(NamedTuple):
         moving = next(self.moving(body) for body in range(len(self.bodies)) if dof in self.own(body))
         return moving[: moving.index(dof) + 1]
 
-    def points_each(self, points: GroundPoints) -> int:
-        """How many points a body has, or that of each lane."""
-        return len(points.order) // (self.lanes if self.bodies[points.body].laned else 1)
-
     def laned(self, dof: int) -> bool:
         """True if there is one of each lane."""
         return len(self.dofs[dof]) > 1
