@@ -8,7 +8,7 @@ other.
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,19 @@ from jax.experimental.pallas import triton as gpu
 from jax.extend import core
 from jaxtyping import Array, Float
 
-from humanoid_mjx.kernels.memory import THREADS, Constants, Device, Record, Region, Shared, Table, Words, assembly, bits
+from humanoid_mjx.kernels.memory import (
+    THREADS,
+    Columns,
+    Constants,
+    Device,
+    Record,
+    Region,
+    Shared,
+    Table,
+    Words,
+    assembly,
+    bits,
+)
 from humanoid_mjx.kernels.signature import Kind, Signature, signature
 from humanoid_mjx.kernels.sums import fused
 from humanoid_mjx.kernels.threads import Threads, power_of_two
@@ -194,20 +206,17 @@ def _kernel(numbers: Any, out: Any, *, results: Results, worlds: int, each: int,
         for row, result in enumerate(results([numbers[row * worlds + world] for row in range(given)])):
             out[row * worlds + world] = result
         return
-    stage = _Stage.of(min(PAGE, max(given, found)))
-    token, values = jnp.zeros(THREADS, jnp.int32), []
+    stage, values = _Stage(0, min(PAGE, max(given, found)), False), []
     for first in range(0, given, PAGE):
         count = min(PAGE, given - first)
-        token = stage.fill(token, numbers, first * worlds + world, worlds, count)
-        page = [stage.read(token, row) for row in range(count)]
-        token = stage.after(token, page)
-        values += page
+        stage.bring(numbers, first * worlds + world, worlds, count)
+        values += stage.row(0, None, jnp.float32, count)
     rows = results(values)
     for first in range(0, len(rows), PAGE):
         page = rows[first : first + PAGE]
         for row, result in enumerate(page):
-            token = stage.write(token, row, result)
-        token = stage.empty(token, out, first * worlds + world, worlds, len(page))
+            stage.write(row, None, result)
+        stage.leave(out, first * worlds + world, worlds, len(page))
 
 
 @lru_cache
@@ -232,66 +241,31 @@ def _threads(lanes: int, interpret: bool, constants: Callable[[int, Words], Regi
     return Threads(constants is not None, region, constants or fixed, _any, lanes, shuffled, summed)
 
 
-class _Stage(NamedTuple):
-    """Shared memory on the way between the device's memory and the registers, a column for each thread.
+class _Stage(Columns):
+    """Memory on the way between the device's memory and the registers.
 
     For every access to the device's memory in a program Triton looks at all that has an operand in common with what
     depends on it: with one for each number a time step did not compile within four minutes. So there is one for each
     `PAGE`, in loops that take nothing from outside, addresses neither: with any, a time step compiles in 24 s, without
-    in 8. From loops over a range Triton looks outside all the same, hence `while`. Inline assembly reaches shared
-    memory; it may be moved unless something depends on it, hence a write gives a token, a number, which what follows
-    takes.
+    in 8. From loops over a range Triton looks outside all the same, hence `while`.
     """
 
-    address: Array
-    """Addresses of each thread's first number, in bytes."""
-
-    @classmethod
-    def of(cls, rows: int) -> "_Stage":
-        thread = jnp.arange(THREADS, dtype=jnp.int32)
-        code = f".shared .align 4 .b8 stage[{rows * THREADS * 4}]; mov.u32 $0, stage;"
-        return cls(assembly(code, "=r,r", jnp.int32, thread) + 4 * thread)
-
-    def fill(self, token: Array, numbers: Any, place: Array, stride: int, count: int) -> Array:
+    def bring(self, numbers: Any, place: Array, stride: int, count: int) -> None:
         """Bring so many rows from the device's memory, the first from `place`."""
+        self._each(lambda at, place: self.write(0, at, gpu.load(numbers.at[place])), place, stride, count)
 
-        def one(token: Array, address: Array, place: Array) -> Array:
-            value = gpu.load(numbers.at[place])
-            return assembly("st.shared.f32 [$1], $2; mov.b32 $0, $3;", "=r,r,f,r", jnp.int32, address, value, token)
-
-        return self._each(one, token, place, stride, count)
-
-    def read(self, token: Array, row: int) -> Array:
-        code = f"ld.shared.f32 $0, [$1+{4 * THREADS * row}];"
-        return assembly(code, "=f,r,r", jnp.float32, self.address, token)
-
-    def after(self, token: Array, seen: Sequence[Array]) -> Array:
-        for first in range(0, len(seen), 8):
-            group = seen[first : first + 8]
-            token = assembly("mov.b32 $0, $1;", ",".join(["=r", "r", *("f" for _ in group)]), jnp.int32, token, *group)
-        return token
-
-    def write(self, token: Array, row: int, value: Array) -> Array:
-        code = f"st.shared.f32 [$1+{4 * THREADS * row}], $2; mov.b32 $0, $3;"
-        return assembly(code, "=r,r,f,r", jnp.int32, self.address, value, token)
-
-    def empty(self, token: Array, out: Any, place: Array, stride: int, count: int) -> Array:
+    def leave(self, out: Any, place: Array, stride: int, count: int) -> None:
         """Bring so many rows to the device's memory, the first to `place`."""
+        self._each(lambda at, place: gpu.store(out.at[place], self.read(0, at, jnp.float32)), place, stride, count)
 
-        def one(token: Array, address: Array, place: Array) -> Array:
-            value = assembly("ld.shared.f32 $0, [$1];", "=f,r,r", jnp.float32, address, token)
-            gpu.store(out.at[place], value)
-            return self.after(token, [value])
-
-        return self._each(one, token, place, stride, count)
-
-    def _each(self, one: Callable[..., Array], token: Array, place: Array, stride: int, count: int) -> Array:
+    def _each(self, one: Callable[[Array, Array], None], place: Array, stride: int, count: int) -> None:
         def further(carry: tuple[Array, ...]) -> tuple[Array, ...]:
-            row, token, address, place = carry
-            return row + 1, one(token, address, place), _plus(address, 4 * THREADS), _plus(place, stride)
+            row, self.token, address, place = carry
+            one(address, place)
+            return row + 1, self.settle(), _plus(address, 4 * THREADS), _plus(place, stride)
 
-        start = jnp.int32(0), token, self.address, place
-        return lax.while_loop(lambda carry: carry[0] < count, further, start)[1]
+        start = jnp.int32(0), self.settle(), self.address, place
+        self.token = lax.while_loop(lambda carry: carry[0] < count, further, start)[1]
 
 
 def _plus(values: Array, number: int) -> Array:

@@ -117,17 +117,21 @@ class Region:
         return self.token
 
 
-class Shared(Region):
-    """Words in the memory that the threads of a block share, a column for each thread, so that no two banks collide.
-
-    They are those of an array of the device, (worlds, words), until `leave` brings them back.
-    """
+class Columns(Region):
+    """Words in the memory that the threads of a block share, a column for each thread, so that no two banks collide."""
 
     space, stride = "shared", THREADS
 
+    def __init__(self, number: int, words: int, interpret: bool):
+        super().__init__(number, words, interpret)
+        self.address = self.address + 4 * jnp.arange(THREADS, dtype=jnp.int32)
+
+
+class Shared(Columns):
+    """Words of an array of the device, (worlds, words), until `leave` brings them back."""
+
     def __init__(self, number: int, array: Any, world: Address):
         super().__init__(number, array.shape[1], False)
-        self.address = self.address + 4 * jnp.arange(THREADS, dtype=jnp.int32)
         self._each(array, lambda at: self.write(0, self.place(at), gpu.load(array.at[world, at])))
 
     def leave(self, array: Any, world: Address) -> None:
