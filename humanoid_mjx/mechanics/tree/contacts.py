@@ -208,8 +208,8 @@ def ground_touch(
     distance = height - radius
     place = center - scale(radius + 0.5 * distance, normal)
     along = None if points.along is None else kinematics.direction(points.body, points.along)
-    frame, velocity = _frame(normal, along), velocity_at(motions[points.body], place)
-    return _touch(points.surface, place, frame, distance, velocity, friction)
+    velocity = velocity_at(motions[points.body], place)
+    return touch_of(points.surface, Gap(place, normal, distance), velocity, friction, along)
 
 
 def _each(what: Any, laned: bool) -> np.ndarray:
@@ -252,17 +252,12 @@ def _downwards(way: Any, normal: Any) -> Any:
     return scale(jnp.where(dot(way, normal) > 0.0, -1.0, 1.0), way)
 
 
-def _gaps(pairs: st.Pairs, kinematics: Kinematics) -> Gap:
-    """The gaps of pairs, with an axis that counts them."""
-    if isinstance(pairs.ones[0], st.Box):
-        return Gap(*between_boxes(pairs, kinematics))
-    return Gap(*_between(*(capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))))
-
-
 def pair_gap_at(pairs: st.Pairs, kinematics: Kinematics) -> GapAt:
     """The gap of the pair of a number: that of many capsules is computed when asked for."""
-    if len(pairs.ones) <= FEW_PAIRS or isinstance(pairs.ones[0], st.Box):
-        gaps = _gaps(pairs, kinematics)
+    boxes = isinstance(pairs.ones[0], st.Box)
+    if boxes or len(pairs.ones) <= FEW_PAIRS:
+        each = () if boxes else (capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))
+        gaps = Gap(*between_boxes(pairs, kinematics)) if boxes else _between(*each)
         return lambda index: jax.tree.map(lambda v: entry_at(v, index), gaps)
     every = list(dict.fromkeys([*pairs.ones, *pairs.twos]))
     table = capsules(every, kinematics)
@@ -271,18 +266,12 @@ def pair_gap_at(pairs: st.Pairs, kinematics: Kinematics) -> GapAt:
 
     def at(index: Any) -> Gap:
         each = (entry_at(numbers_, index)[0] for numbers_ in places)
-        return Gap(*_between(*(jax.tree.map(lambda v, place=place: entry_at(v, place), table) for place in each)))
+        return _between(*(jax.tree.map(lambda v, place=place: entry_at(v, place), table) for place in each))
 
     return at
 
 
-def pair_touch(surface: st.Surface, gap: Gap, velocity: Any, friction: Friction) -> Touch:
-    """The contact of two shapes that part by `velocity`, m/s, at the place of their gap."""
-    # Without friction no one reads the tangents, and a compiler leaves them out.
-    return _touch(surface, gap.place, _frame(gap.normal, None), gap.distance, velocity, friction)
-
-
-def _between(first: tuple[Segment, Any], second: tuple[Segment, Any]) -> tuple[Any, Any, Any]:
+def _between(first: tuple[Segment, Any], second: tuple[Segment, Any]) -> Gap:
     ((one, along_one), radius), ((two, along_two), other) = first, second
     x, y = nearest_shares(along_one, along_two, one - two)
     one, two = one + scale(x, along_one), two + scale(y, along_two)
@@ -294,18 +283,21 @@ def _between(first: tuple[Segment, Any], second: tuple[Segment, Any]) -> tuple[A
     normal = scale(1.0 / length, between)
     normal = jnp.where(meet[..., None, :, :], EYE[0], normal)
     distance = jnp.where(meet, 0.0, length) - (radius + other)
-    return one + scale(radius + 0.5 * distance, normal), normal, distance
+    return Gap(one + scale(radius + 0.5 * distance, normal), normal, distance)
 
 
-def _touch(surface: st.Surface, place: Any, frame: Any, distance: Any, velocity: Any, friction: Friction) -> Touch:
+def touch_of(surface: st.Surface, gap: Gap, velocity: Any, friction: Friction, along: Any = None) -> Touch:
+    """The contact of two shapes that part by `velocity`, m/s, at the place of their gap; the first tangent follows
+    `along`, if given. Without friction no one reads the tangents, and a compiler leaves them out."""
+    frame = _frame(gap.normal, along)
     inverse = surface.inverse_weight
     inverse = numbers(inverse) if isinstance(inverse, float | st.Table) else inverse
     if friction is not None and not isinstance(friction, Cone):
         square = friction[0] * friction[0]
         inverse = 2.0 * square * inverse * (1.0 + square) / surface.impratio
-    close, weight, push = _soft(surface.softness, distance, surface.margin, inverse)
+    close, weight, push = _soft(surface.softness, gap.distance, surface.margin, inverse)
     offset = surface.softness.damping * turn(frame, velocity) + scale(push, EYE[0])
-    return Touch(place, frame, distance, close, weight, offset, friction)
+    return Touch(gap.place, frame, gap.distance, close, weight, offset, friction)
 
 
 def _soft(softness: st.Softness, distance: Any, margin: Any, inverse: Any) -> tuple[Any, Any, Any]:

@@ -25,10 +25,10 @@ from humanoid_mjx.mechanics.tree.algebra import (
     with_entry,
 )
 from humanoid_mjx.mechanics.tree.cones import Cone
-from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, GapAt, Touch, pair_touch
+from humanoid_mjx.mechanics.tree.contacts import Friction, Gap, GapAt, Touch, touch_of
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.problem import Problem
-from humanoid_mjx.mechanics.tree.structure import Box, Capsule, Pairs, Tree
+from humanoid_mjx.mechanics.tree.structure import Pairs, Tree
 
 SLOTS = 8
 """Contacts between bodies that a world may have at a time, those of two boxes corner by corner. With room for 16,
@@ -36,23 +36,6 @@ humanoids that are thrown about are 13 to 15 % slower on a GPU, and no fewer of 
 
 Flags = Bool[Array, "slots facets 1 1"] | Float[Array, "slots 3 1 1"]
 """What `Touch.active` is of each contact."""
-
-
-class Ways(NamedTuple):
-    """Motions of bodies with degrees of freedom at unit speed, of all that part the bodies of some pair."""
-
-    dofs: list[int]
-    """Those of all lanes one by one."""
-    first: Any
-    last: Any
-    """The first and the last number of the bodies that move, see `_numbers`."""
-    motions: Any
-
-    def between(self, one: Any, two: Any) -> Any:
-        """1 where the second body moves against the first, -1 where the first does, 0 where both move, or none."""
-        moved = ((self.first <= body) & (body <= self.last) for body in (two, one))
-        two, one = (flag.astype(float) for flag in moved)
-        return two - one
 
 
 class Slots(NamedTuple):
@@ -96,8 +79,11 @@ def close_pairs(
     `gaps`: those of all pairs, group by group, and their coefficients of friction.
     """
     contact, dofs, facts = _contacts(tree, problem, [friction for _, friction in gaps])
-    numbers, close = _close_numbers(tree, problem, [at for at, _ in gaps])
-    slots = min(SLOTS, sum(len(pairs.ones) for pairs in tree.pairs))
+    first, found = 0, (jnp.zeros((SLOTS + 1, 1), jnp.int32), jnp.zeros(1, jnp.int32))
+    for pairs, (at, _) in zip(tree.pairs, gaps, strict=True):
+        found = _noted(pairs, problem, at, first, found)
+        first += len(pairs.ones)
+    (numbers, close), slots = found, min(SLOTS, first)
 
     def one(index: Any) -> tuple[Touch, Any]:
         pair, gap, first = entry_at(numbers, index)[0], None, 0
@@ -116,17 +102,9 @@ ABREAST = 4
 """Pairs that are looked at together: while a thread waits for a number of one, it computes another."""
 
 
-def _close_numbers(tree: Tree, problem: Problem, gaps: Sequence[GapAt]) -> tuple[Any, Any]:
-    """The numbers of the first `SLOTS` pairs that are close, and how many are close."""
-    first, found = 0, (jnp.zeros((SLOTS + 1, 1), jnp.int32), jnp.zeros(1, jnp.int32))
-    for pairs, at in zip(tree.pairs, gaps, strict=True):
-        found = _noted(pairs, problem, at, first, found)
-        first += len(pairs.ones)
-    return found
-
-
 def _noted(pairs: Pairs, problem: Problem, at: GapAt, first: int, found: tuple[Any, Any]) -> tuple[Any, Any]:
-    """`found` with a group's pairs that are close, of which the first has this number; many are taken in a loop."""
+    """The numbers of the first `SLOTS` pairs that are close, and how many are close: `found`, and those of a group of
+    which the first has this number; many are taken in a loop."""
     size = len(pairs.ones)
 
     def further(index: Any, found: tuple[Any, Any], count: int) -> tuple[Any, Any]:
@@ -156,11 +134,12 @@ def _contacts(
     pair, of which arrays lead with an axis of all pairs.
     """
     numbered = _numbers(tree)
-    pairs = [[numbered[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in two] for two in _each(tree)]
+    shapes = [pair for pairs in tree.pairs for pair in zip(pairs.ones, pairs.twos, strict=True)]
+    pairs = [[numbered[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in two] for two in shapes]
     bodies = tuple(jnp.array(bodies, float)[:, None, None] for bodies in zip(*pairs, strict=True))
-    ways = _ways(tree, problem.kinematics, numbered, pairs)
+    dofs, first, last, motions = _ways(tree, problem.kinematics, numbered, pairs)
     rates = unfolded(problem.velocity, tree.dofs)
-    rates = stacked([rates[dof] for dof in ways.dofs])[:, None]
+    rates = stacked([rates[dof] for dof in dofs])[:, None]
     zero = np.zeros((1, 1))
     none = jax.tree.map(lambda _: zero, next(filter(None, frictions), None))
     some = _joined(tree, [friction or none for friction in frictions]) if any(frictions) else None
@@ -169,12 +148,13 @@ def _contacts(
     def contact(
         pair: Any, there: Any, gap: Gap, bodies: tuple[Any, Any], inverse: Any, friction: Friction
     ) -> tuple[Touch, Any]:
-        arms = ways.between(*bodies)[..., None, :, :] * velocity_at(ways.motions, gap.place)
+        two, one = (((first <= body) & (body <= last)).astype(float) for body in reversed(bodies))
+        arms = (two - one)[..., None, :, :] * velocity_at(motions, gap.place)
         found: Any = None
         end = 0
         for group, own in zip(tree.pairs, frictions, strict=True):
             surface = group.surface._replace(inverse_weight=inverse)
-            touch = pair_touch(surface, gap, (rates * arms).sum(axis=0), own and friction)
+            touch = touch_of(surface, gap, (rates * arms).sum(axis=0), own and friction)
             if friction and not own:  # a pyramid of four facets that are the same, each of a quarter of the weight
                 weight = touch.weight if isinstance(friction, Cone) else 0.25 * touch.weight
                 touch = touch._replace(weight=weight, friction=friction)
@@ -182,11 +162,12 @@ def _contacts(
             end += len(group.ones)
         return found._replace(place=(), frame=(), distance=(), close=there), turn(found.frame, arms)
 
-    return contact, ways.dofs, (bodies, inverse, some)
+    return contact, dofs, (bodies, inverse, some)
 
 
-def _ways(tree: Tree, kinematics: Kinematics, numbered: dict[tuple[int, int], int], pairs: Any) -> Ways:
-    """All but those that move both bodies of each pair, or none."""
+def _ways(tree: Tree, kinematics: Kinematics, numbered: dict[tuple[int, int], int], pairs: Any) -> tuple[Any, ...]:
+    """The degrees of freedom that part the bodies of some pair, those of all lanes one by one; the first and the last
+    number, see `_numbers`, of the bodies that each moves; and their motions at unit speed."""
     found = []
     for dof, lanes in enumerate(tree.dofs):
         for index, own in enumerate(lanes):
@@ -197,7 +178,7 @@ def _ways(tree: Tree, kinematics: Kinematics, numbered: dict[tuple[int, int], in
                 found.append((own, first, last, in_lane(kinematics.motions[dof], index)))
     dofs, first, last, motions = zip(*found, strict=True)
     first, last = (np.array(end, float)[:, None, None] for end in (first, last))
-    return Ways(list(dofs), first, last, stacked(motions))
+    return list(dofs), first, last, stacked(motions)
 
 
 def _numbers(tree: Tree) -> dict[tuple[int, int], int]:
@@ -224,8 +205,3 @@ def _joined(tree: Tree, groups: Sequence[Any]) -> Any:
         return jnp.concatenate([jnp.broadcast_to(part, (size, 1, 1)) for part, size in zip(parts, sizes, strict=True)])
 
     return jax.tree.map(join, *groups)
-
-
-def _each(tree: Tree) -> list[tuple[Capsule | Box, Capsule | Box]]:
-    """All pairs."""
-    return [pair for pairs in tree.pairs for pair in zip(pairs.ones, pairs.twos, strict=True)]

@@ -61,7 +61,8 @@ def make_state(tree: Tree, values: Values, qpos: list[Any], qvel: list[Any]) -> 
     """The stages of position and velocity."""
     kinematics = make_kinematics(tree, qpos)
     velocity = to_world(tree, kinematics, qvel)
-    masses = masses_of(tree, kinematics, _factors(tree, values.mass))
+    factors = [1.0] * len(tree.bodies) if values.mass is None else folded(values.mass[:, None], tree.body_places)
+    masses = masses_of(tree, kinematics, factors)
     drifts = drifts_of(tree, kinematics, velocity)
     gravity = numbers(tree.gravity) if values.gravity is None else values.gravity[:, None]
     damping, armature, passive = ([np.zeros((1, 1))] * tree.nv for _ in range(3))
@@ -158,16 +159,7 @@ def accelerate(
     force = [m + p - b for m, p, b in zip(motor, state.passive, state.bias, strict=True)]
     if values.push is not None and tree.free is not None:
         force[:3] = [f + p for f, p in zip(force[:3], values.push[:, None], strict=True)]
-    start = to_world(tree, state.kinematics, warmstart)
-    problem = make_problem(tree, values, state, force)._replace(ended=ended)
-    if not (problem.ground or problem.pairs or problem.stops or problem.slips):
-        return problem, Solution(factor(tree, state.matrix).solve(force), jnp.bool_(True))
-    return problem, Solution(*search(tree, problem, start))
-
-
-def make_problem(tree: Tree, values: Values, state: State, force: list[Any]) -> Problem:
-    """The contacts and limits of a state, and the forces that meet them."""
-    at = state.kinematics
+    at, start = state.kinematics, to_world(tree, state.kinematics, warmstart)
     frictions = _frictions([p.surface for p in tree.ground], values.friction)
     each = zip(tree.ground, frictions, strict=True)
     ground = [ground_touch(tree, points, at, state.motions, friction, values.terrain) for points, friction in each]
@@ -179,7 +171,10 @@ def make_problem(tree: Tree, values: Values, state: State, force: list[Any]) -> 
         if joint.limit is not None
     }
     slips = {joint.dof: slip_of(joint.dry, state.qvel[joint.dof]) for joint in tree.joints if joint.dry is not None}
-    return Problem(state.matrix, force, at, state.velocity, ground, pairs, stops, slips)
+    problem = Problem(state.matrix, force, at, state.velocity, ground, pairs, stops, slips, ended)
+    if not (ground or pairs or stops or slips):
+        return problem, Solution(factor(tree, state.matrix).solve(force), jnp.bool_(True))
+    return problem, Solution(*search(tree, problem, start))
 
 
 def integrate(tree: Tree, state: State, acceleration: Sequence[Any]) -> tuple[list[Any], list[Any], list[Any]]:
@@ -233,12 +228,6 @@ def _series(square: Any, factorials: Sequence[int]) -> Any:
     for upper, lower in zip(reversed(factorials), [*reversed(factorials[:-1]), factorials[0] - 2], strict=True):
         found = 1.0 - square * (math.factorial(lower) / math.factorial(upper)) * found
     return found
-
-
-def _factors(tree: Tree, mass: Any) -> list[Any]:
-    if mass is None:
-        return [1.0] * len(tree.bodies)
-    return folded(mass[:, None], tree.body_places)
 
 
 def _frictions(surfaces: Sequence[Surface], given: Any, behind: tuple[int, ...] = (1,)) -> list[Friction]:
