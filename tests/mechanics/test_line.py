@@ -40,7 +40,7 @@ def test_a_joint_that_begins_to_slip_is_found_although_large_forces_cancel():
         at_rest = [np.zeros((1, 1))] * 2
         problem = Problem(matrix, force, make_kinematics(tree, at_rest), at_rest, [], [], {}, {1: slip})
         active = active_at(tree, problem, before)
-        return lowest_share(tree, problem, None, active, active, before, after, jnp.zeros(1, bool))
+        return lowest_share(tree, problem, active, active, before, after, jnp.zeros(1, bool))
 
     share = jax.jit(jax.vmap(one_world(found), -1))(*(np.asarray(part, np.float32) for part in (before, after, force)))
 

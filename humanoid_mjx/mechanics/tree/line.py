@@ -11,7 +11,6 @@ from humanoid_mjx.mechanics.tree.algebra import dot, turn
 from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.contacts import Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import product
-from humanoid_mjx.mechanics.tree.pairs import Slots
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, ground_residuals
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -37,14 +36,7 @@ class Rows(NamedTuple):
 
 
 def lowest_share(
-    tree: Tree,
-    problem: Problem,
-    slots: Slots | None,
-    active: Active,
-    now: Active,
-    before: Sequence[Any],
-    after: Sequence[Any],
-    known: Any,
+    tree: Tree, problem: Problem, active: Active, now: Active, before: Sequence[Any], after: Sequence[Any], known: Any
 ) -> Any:
     """The share of the way from `before` to `after` at which the problem is lowest, in this world.
 
@@ -54,8 +46,8 @@ def lowest_share(
     """
     way = [two - one for one, two in zip(before, after, strict=True)]
     curve = _along(tree, way, product(tree, problem.matrix, way))
-    pushing, pushed = _pushing(tree, problem, slots, active, before, after)
-    bends = list(_bends(problem, slots, active, now))
+    pushing, pushed = _pushing(tree, problem, active, before, after)
+    bends = list(_bends(problem, active, now))
     rubbing, (most, up, down) = _rubbing(tree, problem, active, before, after)
     push, rub = (rows.weight * rows.slope for rows in (pushing, rubbing))
     held = _sum(jnp.where(pushed, push * pushing.slope, 0.0))
@@ -112,8 +104,8 @@ class Bends(NamedTuple):
         return _sum(first - (self.first + share * self.second)), _sum(second)
 
 
-def _bends(problem: Problem, slots: Slots | None, active: Active, now: Active) -> Iterator[Bends]:
-    touches = [*problem.ground, *([slots.touch] if slots else ())]
+def _bends(problem: Problem, active: Active, now: Active) -> Iterator[Bends]:
+    touches = [*problem.ground, *([problem.slots.touch] if problem.slots else ())]
     for touch, start, end in zip(touches, (*active.ground, active.pairs), (*now.ground, now.pairs), strict=False):
         if isinstance(touch.friction, Cone):
             weight, way = jnp.where(touch.close, touch.weight, 0.0), end - start
@@ -134,10 +126,10 @@ def _along(tree: Tree, way: Sequence[Any], force: Sequence[Any]) -> Any:
 
 
 def _pushing(
-    tree: Tree, problem: Problem, slots: Slots | None, active: Active, before: Sequence[Any], after: Sequence[Any]
+    tree: Tree, problem: Problem, active: Active, before: Sequence[Any], after: Sequence[Any]
 ) -> tuple[Rows, Bool[Array, "rows lanes 1"]]:
     """One-sided constraints, facets of contacts and ends of ranges, and which of them `active` has."""
-    found: list[tuple[Any, ...]] = []
+    found, slots = list[tuple[Any, ...]](), problem.slots
     grounds = (ground_residuals(tree, problem.kinematics, problem.ground, x) for x in (before, after))
     for touch, flags, one, two in zip(problem.ground, active.ground, *grounds, strict=True):
         if not isinstance(touch.friction, Cone):

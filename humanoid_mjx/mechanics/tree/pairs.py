@@ -71,13 +71,9 @@ class Slots(NamedTuple):
         return jnp.broadcast_to(self.touch.close[:, None], (len(self.rows), size, 1, 1))
 
 
-def close_pairs(
-    tree: Tree, problem: Problem, gaps: Sequence[tuple[GapAt, Friction]]
-) -> tuple[Slots, Bool[Array, " 1"]]:
-    """The contacts of the first `SLOTS` pairs that are close, and whether more are.
-
-    `gaps`: those of all pairs, group by group, and their coefficients of friction.
-    """
+def close_pairs(tree: Tree, problem: Problem) -> tuple[Slots, Bool[Array, " 1"]]:
+    """The contacts of the first `SLOTS` pairs that are close, and whether more are."""
+    gaps = problem.pairs
     contact, dofs, facts = _contacts(tree, problem, [friction for _, friction in gaps])
     first, found = 0, (jnp.zeros((SLOTS + 1, 1), jnp.int32), jnp.zeros(1, jnp.int32))
     for pairs, (at, _) in zip(tree.pairs, gaps, strict=True):

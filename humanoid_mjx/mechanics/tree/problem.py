@@ -53,6 +53,8 @@ class Problem(NamedTuple):
     """By degree of freedom."""
     ended: Any = False
     """True where the solution is of no use, so that other worlds of a kernel do not wait for it."""
+    slots: Any = None
+    """Contacts of the pairs that are close, `pairs.Slots`, where there are pairs; the search finds them."""
 
 
 class Solution(NamedTuple):

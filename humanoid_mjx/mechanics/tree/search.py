@@ -16,7 +16,7 @@ from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.inertia import factor
 from humanoid_mjx.mechanics.tree.line import lowest_share
 from humanoid_mjx.mechanics.tree.pair_equations import with_pairs
-from humanoid_mjx.mechanics.tree.pairs import Slots, close_pairs
+from humanoid_mjx.mechanics.tree.pairs import close_pairs
 from humanoid_mjx.mechanics.tree.problem import Active, Problem, active_at, normal_equations
 from humanoid_mjx.mechanics.tree.structure import Tree
 
@@ -40,25 +40,20 @@ lost 32."""
 
 
 def search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], Any]:
-    """The accelerations, searched from `start`, and where they are settled.
+    """The accelerations, searched from `start`, and where they are settled, from which on they stay.
 
     Worlds where bodies touch each other in more than `SLOTS` places do not settle.
     """
-    pairs, problem, slots, more = problem.pairs, problem._replace(pairs=[]), None, False
-    if pairs:
-        slots, more = close_pairs(tree, problem, pairs)
-    problem = problem._replace(ground=[touch.without_flag() for touch in problem.ground])
-    found, settled = _search(tree, problem, slots, start)
-    return found, settled & ~jnp.asarray(more)
-
-
-def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any]) -> tuple[list[Any], Any]:
-    """The accelerations, and where they are settled, from which on they stay; `problem`: all but the pairs."""
+    more, problem = False, problem._replace(ground=[touch.without_flag() for touch in problem.ground])
+    if problem.pairs:
+        slots, more = close_pairs(tree, problem)
+        problem = problem._replace(pairs=[], slots=slots)
+    slots = problem.slots
 
     def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         before, flags, settled, count = carry
         active = unpacked(flags)
-        x, pairs = _minimum(tree, problem, slots, active)
+        x, pairs = _minimum(tree, problem, active)
         now = packed(active_at(tree, problem, x)._replace(pairs=pairs))
         x = [jnp.where(settled, old, new) for old, new in zip(before, x, strict=True)]
         errors = SAME * jnp.where(count < PATIENCE, 1.0, MORE)
@@ -68,7 +63,7 @@ def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any])
 
         def shorten() -> tuple[list[Any], Any]:
             at = unpacked(now) if cones else active
-            given = tree, problem, slots, active, at, before, x, settled
+            given = tree, problem, active, at, before, x, settled
             share = lowest_share(*given) if problem.slips or cones else SHARE
             part = [jnp.where(settled, new, old + share * (new - old)) for old, new in zip(before, x, strict=True)]
             there = active_at(tree, problem, part)._replace(pairs=slots.active(tree, part) if slots else None)
@@ -85,17 +80,15 @@ def _search(tree: Tree, problem: Problem, slots: Slots | None, start: list[Any])
     def unpacked(flags: tuple[list[Any], Any]) -> Active:
         return unpack(flags[0], like)._replace(pairs=flags[1])
 
-    def going(carry: tuple[Any, ...]) -> Any:
-        return ~carry[2].all() & (carry[3] < MOST_STEPS)
-
     start = [jnp.broadcast_to(x, (tree.lanes if tree.laned(dof) else 1, 1)) for dof, x in enumerate(start)]
     like = active_at(tree, problem, start)
     touches = [*problem.ground, *([slots.touch] if slots else ())]
     cones = [touch.friction for touch in touches if isinstance(touch.friction, Cone)]
     active = like._replace(pairs=slots.guess(tree, start) if slots else None)
     ended = jnp.broadcast_to(jnp.asarray(problem.ended), (1,))
-    x, _, settled, _ = jax.lax.while_loop(going, step, (start, packed(active), ended, jnp.int32(0)))
-    return x, settled
+    carry = start, packed(active), ended, jnp.int32(0)
+    found = jax.lax.while_loop(lambda carry: ~carry[2].all() & (carry[3] < MOST_STEPS), step, carry)
+    return found[0], found[2] & ~jnp.asarray(more)
 
 
 def _differ(one: Any, two: Any, cones: Sequence[Cone], x: Sequence[Any], errors: Any) -> Any:
@@ -125,9 +118,9 @@ def _in_any_lane(combined: Callable[..., Any], values: Sequence[Any]) -> Any:
     return combined(jnp.concatenate([combined(x, axis=0) for x in own.values()]), axis=0)
 
 
-def _minimum(tree: Tree, problem: Problem, slots: Slots | None, active: Active) -> tuple[list[Any], Any]:
+def _minimum(tree: Tree, problem: Problem, active: Active) -> tuple[list[Any], Any]:
     """If these facets and stops push and no others, and which facets of pairs push there."""
-    matrix, right = normal_equations(tree, problem, active)
+    slots, (matrix, right) = problem.slots, normal_equations(tree, problem, active)
     factors = factor(tree, matrix)
     x = factors.solve(right)
     if slots is None:
