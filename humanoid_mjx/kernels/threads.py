@@ -246,7 +246,7 @@ class Threads:
 
     def _looked_up(self, array: Held, index: np.ndarray, *_: np.ndarray) -> np.ndarray:
         """The entry along the first axis at an index."""
-        kept = array if isinstance(array, Kept) else self._keep_fixed([array])[0]
+        kept = array if isinstance(array, Kept) else self._keep([array], fixed=True)[0]
         return self._row(kept, self._place(kept, index))
 
     def _with_entry(self, array: Held, entry: np.ndarray, index: np.ndarray, *_: np.ndarray) -> Kept:
@@ -265,7 +265,7 @@ class Threads:
             raise NotImplementedError("threads add to entries of arrays along the first axis alone")
         array.check()
         place = self._place(array, index)
-        array.region.add(array.word, place, [*map(vector, self._elements(change.reshape(array.shape[1:])))])
+        array.region.add(array.word, place, self.vectors(change.reshape(array.shape[1:])))
         array.writes[0] += 1
         return array.now()
 
@@ -277,34 +277,21 @@ class Threads:
         first = name == "slice" and not any(params["start_indices"]) and params["strides"] is None
         return name == "reshape" or (first and shape[1:] == kept.shape[1:])
 
-    def _keep(self, arrays: Sequence[np.ndarray]) -> list[Kept]:
-        """Arrays in a new part of the memory."""
-        if not arrays:
-            return []
-        sizes = [len(array) * self._width(array.shape) for array in arrays]
-        region = self.region(next(self.numbers), sum(sizes))
-        self.regions.append(region)
-        places = np.cumsum([0, *sizes[:-1]]).tolist()
-        kept = [
-            Kept(region, *each) for each in zip(places, (x.shape for x in arrays), map(type_of, arrays), strict=True)
-        ]
-        self._write_all(region, 0, arrays)
+    def _keep(self, arrays: Sequence[np.ndarray], fixed: bool = False) -> list[Kept]:
+        """Arrays in new memory; `fixed` ones must not change, and those of known numbers are in memory of constants."""
+        known = [fixed and not self._laned(x.shape[1:]) and are_known(list(x.flat)) for x in arrays]
+        others = [x for x, flag in zip(arrays, known, strict=True) if not flag]
+        sizes = [len(x) * self._width(x.shape) for x in others]
+        regions = [self.region(next(self.numbers), sum(sizes))] if others else []
+        self.regions += regions
+        places = iter(np.cumsum([0, *sizes]).tolist())
+        kept = []
+        for x, flag in zip(arrays, known, strict=True):
+            region = self.constants(next(self.numbers), list(x.flat)) if flag else regions[0]
+            kept.append(Kept(region, 0 if flag else next(places), x.shape, type_of(x), fixed))
+        for region in regions:
+            self._write_all(region, 0, others)
         return kept
-
-    def _keep_fixed(self, arrays: Sequence[np.ndarray]) -> list[Kept]:
-        """Arrays that do not change, in memory."""
-        constants = [self._constants(array) for array in arrays]
-        lacking = [array for array, found in zip(arrays, constants, strict=True) if found is None]
-        others = iter(self._keep(lacking))
-        return [found or replace(next(others), fixed=True) for found in constants]
-
-    def _constants(self, array: np.ndarray) -> Kept | None:
-        """An array in the memory of constants; None if it is not known, or is another in each thread."""
-        elements = list(array.flat)
-        if self._laned(array.shape[1:]) or not are_known(elements):
-            return None
-        region = self.constants(next(self.numbers), elements)
-        return Kept(region, 0, array.shape, type_of(array), fixed=True)
 
     def _width(self, shape: tuple[int, ...]) -> int:
         """Words of an entry."""
@@ -324,8 +311,8 @@ class Threads:
         return self._unpacked(found, [np.empty(kept.shape[1:], object)])[0][None]
 
     def _write(self, kept: Kept, entry: np.ndarray, place: Array | None) -> None:
-        for word, values in enumerate(self._elements(entry.reshape(kept.shape[1:])), kept.word):
-            kept.region.write(word, place, vector(values))
+        for word, values in enumerate(self.vectors(entry.reshape(kept.shape[1:])), kept.word):
+            kept.region.write(word, place, values)
 
     def _write_all(self, region: Region, word: int, arrays: Sequence[np.ndarray]) -> None:
         """Write whole arrays, one after another from a word on."""
@@ -451,9 +438,9 @@ class Threads:
         moved = [place for place in places if not there[place]]
         moved = [place for place in sorted(moved) if math.prod(args[place].shape)]
         found = dict(enumerate(args))
-        for keep, fixed in (self._keep_fixed, True), (self._keep, False):
+        for fixed in (True, False):
             own = [place for place in moved if (place < first) == fixed]
-            found |= zip(own, keep([self._loaded(args[place]) for place in own]), strict=True)
+            found |= zip(own, self._keep([self._loaded(args[place]) for place in own], fixed), strict=True)
         return [replace(x, fixed=True) if isinstance(x, Kept) and i < first else x for i, x in found.items()]
 
     def _put_back(self, state: Sequence[Any], start: Sequence[Any]) -> None:

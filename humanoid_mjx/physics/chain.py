@@ -85,15 +85,12 @@ class ChainPhysics(Physics):
     def run(self, world: World, controller: Controller, cycles: int) -> World:
         """`cycles` time steps. A world that diverges in them stands still where it was before the first."""
 
-        # The state is carried as separate scalars: a batch of them is contiguous, and few kernels compute them all.
-        def cycle(carry: tuple[list[Array], ...], _: None) -> tuple[tuple[list[Array], ...], None]:
-            now = world._replace(qpos=jnp.stack(carry[0]), qvel=jnp.stack(carry[1]))
-            now = self._cycle(now, controller)[0]
-            return (list(now.qpos), list(now.qvel)), None
+        def cycle(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+            now = self._cycle(world._replace(qpos=carry[0], qvel=carry[1]), controller)[0]
+            return (now.qpos, now.qvel), None
 
-        def all_cycles(qpos: Any, qvel: Any) -> Any:
-            qpos, qvel = jax.lax.scan(cycle, (list(qpos), list(qvel)), length=cycles)[0]
-            return jnp.stack(qpos), jnp.stack(qvel)
+        def all_cycles(*state: Any) -> Any:
+            return jax.lax.scan(cycle, state, length=cycles)[0]
 
         qpos, qvel = kernel_here(all_cycles, world.qpos, world.qvel)
         return freeze_if_diverged(world, world._replace(qpos=qpos, qvel=qvel))

@@ -33,18 +33,12 @@ def pack(flags: Any) -> list[Any]:
 def unpack(words: list[Any], like: Any) -> Any:
     """The flags of these words; `like`: flags of the same shapes."""
     leaves, structure = jax.tree.flatten(like)
-    rest, others = {}, iter(words[len(_by_lanes(like)) :])
-    for lanes, own in zip(_by_lanes(like), words, strict=False):
-        flags = (own[:, None] & WEIGHTS) != 0
-        rest[lanes] = flags.reshape(-1, lanes, 1)
-    found = []
-    for leaf in leaves:
-        if leaf.dtype != bool:
-            found.append(next(others))
-            continue
-        lanes, count = leaf.shape[-2], math.prod(leaf.shape[:-2])
-        found.append(rest[lanes][:count].reshape(leaf.shape))
-        rest[lanes] = rest[lanes][count:]
+    groups, parts = _by_lanes(like), {}
+    for (lanes, own), each in zip(groups.items(), words, strict=False):
+        flags = ((each[:, None] & WEIGHTS) != 0).reshape(-1, lanes, 1)
+        parts[lanes] = iter(jnp.split(flags, np.cumsum([math.prod(flag.shape[:-2]) for flag in own])))
+    others = iter(words[len(groups) :])
+    found = (next(parts[leaf.shape[-2]]).reshape(leaf.shape) if leaf.dtype == bool else next(others) for leaf in leaves)
     return structure.unflatten(found)
 
 
