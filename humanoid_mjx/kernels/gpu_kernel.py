@@ -32,6 +32,7 @@ from humanoid_mjx.kernels.memory import (
     assembly,
     bits,
 )
+from humanoid_mjx.kernels.primitives import operations
 from humanoid_mjx.kernels.signature import Kind, Signature, signature
 from humanoid_mjx.kernels.sums import fused
 from humanoid_mjx.kernels.threads import Threads, power_of_two
@@ -112,18 +113,12 @@ def kinds_of_results(known: Signature) -> tuple[list[Kind], dict[int, int], list
         kept.append(tuple(others))
         return rows
 
-    work = len(known.numbers) * _operations(jax.make_jaxpr(results)(known.numbers).jaxpr)
+    work = len(known.numbers) * operations(jax.make_jaxpr(results)(known.numbers).jaxpr)
     if work > MOST_WORK:
         raise NotImplementedError(
             f"Triton takes minutes for {len(known.numbers)} numbers a world in so many operations"
         )
     return *kept[0], constants
-
-
-def _operations(jaxpr: core.Jaxpr) -> int:
-    """How many operations a traced function has, those of loops and branches among them."""
-    inside = (part for eqn in jaxpr.eqns for part in core.jaxprs_in_params(eqn.params))
-    return len(jaxpr.eqns) + sum(map(_operations, inside))
 
 
 def _stored(dtype: Any) -> Any:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxprs_in_params
 
 T = TypeVar("T")
 
@@ -47,6 +47,11 @@ FUNCTIONS = frozenset(("atan2", "ceil", "cos", "exp", "floor", "log", "pow", "si
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
 CALLS |= {"custom_vmap_call": "call"}
 """Primitives that call a traced function, and the parameter that holds it."""
+
+
+def operations(jaxpr: Jaxpr) -> int:
+    """How many operations a traced function has, those of calls, loops and branches among them."""
+    return len(jaxpr.eqns) + sum(operations(part) for eqn in jaxpr.eqns for part in jaxprs_in_params(eqn.params))
 
 
 def uniform_results(closed: ClosedJaxpr, given: Sequence[bool], of_one: bool = False) -> list[bool]:

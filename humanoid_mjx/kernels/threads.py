@@ -41,7 +41,7 @@ from humanoid_mjx.kernels.elements import (
     vector,
 )
 from humanoid_mjx.kernels.memory import THREADS, Region, bits
-from humanoid_mjx.kernels.primitives import CALLS, evaluated, uniform_carry, uniform_results
+from humanoid_mjx.kernels.primitives import CALLS, evaluated, operations, uniform_carry, uniform_results
 
 
 @dataclass(eq=False)
@@ -551,19 +551,13 @@ def _fixed_and_carried(eqn: Any) -> tuple[int, int]:
 def _is_long(eqn: Any) -> bool:
     """True for a loop of known length that is not unrolled."""
     length = eqn.params["length"]
-    return length > LONG or (not _stacks(eqn) and length * _operations(eqn.params["jaxpr"].jaxpr) > MANY)
+    return length > LONG or (not _stacks(eqn) and length * operations(eqn.params["jaxpr"].jaxpr) > MANY)
 
 
 def _stacks(eqn: Any) -> bool:
     """True for a scan that takes or gives something else in each step."""
     first, kept = _fixed_and_carried(eqn)
     return first + kept < len(eqn.invars) or kept < len(eqn.outvars)
-
-
-def _operations(jaxpr: Any) -> int:
-    """How many operations a traced function has, those of the functions that it calls among them."""
-    inside = (eqn.params[CALLS[eqn.primitive.name]] for eqn in jaxpr.eqns if eqn.primitive.name in CALLS)
-    return len(jaxpr.eqns) + sum(_operations(each.jaxpr) for each in inside)
 
 
 def _looped(eqn: Any) -> ClosedJaxpr:
