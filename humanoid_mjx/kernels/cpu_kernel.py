@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -55,22 +55,17 @@ def call(known: Signature, leaves: Sequence[Array], worlds: int) -> tuple[list[A
     return [*function(*leaves, jnp.int32(worlds))], found
 
 
-@lru_cache
+@cache
 def _compiled_of(code: str) -> str:
     """The name by which XLA calls LLVM's code, once it is compiled."""
     code = code.replace("MAJOR", str(_version()[0])).replace("MINOR", str(_version()[1]))
     name = f"humanoid_mjx_{hashlib.sha256((code + _machine()).encode()).hexdigest()[:32]}"
-    if name not in _fresh:
-        register({name: _compiled(name, code)})
-        _fresh.add(name)
+    register({name: _compiled(name, code)})
     return name
 
 
 _objects: dict[str, bytes] = {}
 """Compiled functions of this process by name."""
-
-_fresh: set[str] = set()
-"""Names of those that `forget` asks nobody to compile again."""
 
 _engines: list[Any] = []
 """What holds their code."""
@@ -85,10 +80,8 @@ def objects_in(program: str) -> dict[str, bytes]:
 
 def forget() -> None:
     """Write and compile functions anew when they are asked for, for those who time it."""
-    for cached in signature, written:
+    for cached in signature, written, _compiled_of:
         cached.cache_clear()
-    _compiled_of.cache_clear()
-    _fresh.clear()
 
 
 def register(objects: dict[str, bytes]) -> None:

@@ -55,10 +55,6 @@ _again: ContextVar[bool] = ContextVar("_again", default=False)
 """True within a call that `with_fallback` would repeat."""
 
 
-class NoKernelError(Exception):
-    """A kernel could not be made, for the reason given; the program is traced again without kernels."""
-
-
 def warn(error: BaseException) -> str:
     """Warn, once for each reason, that XLA computes what a kernel would; return the reason."""
     words = (str(error).strip() or "no message").splitlines()[0]
@@ -79,46 +75,33 @@ def by_xla_instead(error: Exception) -> None:
     Programs without kernels have other options of XLA, which are chosen before a program is traced.
 
     Raises:
-      NoKernelError: the program should be traced and compiled again, with these options.
+      Exception: the error, where the program will be traced and compiled again, with these options.
     """
-    reason = warn(error)
+    _given_up.append(warn(error))
     if _again.get():
-        raise NoKernelError(reason) from error
-    _given_up.append(reason)
-
-
-def give_up(error: BaseException) -> bool:
-    """Make no more kernels in this process, if an error is of making one.
-
-    Returns:
-      True if the program should be traced and compiled again, without kernels.
-    """
-    if _given_up:
-        return False
-    said = isinstance(error, NoKernelError)
-    if not said and not any(word in f"{type(error).__name__} {error}".lower() for word in WORDS):
-        return False
-    _given_up.append(str(error) if said else warn(error))
-    jax.clear_caches()
-    return True
+        raise error
 
 
 def with_fallback(function: Callable[..., Any], renew: Callable[[], object] = lambda: None) -> Callable[..., Any]:
-    """Return a function that compiles, and compiles again without kernels if one of its kernels fails to compile.
+    """Return a function that compiles, and compiles again without kernels if one of its kernels cannot be made.
 
     `renew`: called before the second attempt.
     """
 
     @wraps(function)
     def call(*args: Any) -> Any:
-        before = _again.set(not _given_up)
+        without, before = bool(_given_up), _again.set(not _given_up)
         try:
             return function(*args)
         except Exception as error:
-            if not give_up(error):
+            said = f"{type(error).__name__} {error}".lower()
+            if without or not (_given_up or any(word in said for word in WORDS)):
                 raise
+            if not _given_up:
+                _given_up.append(warn(error))
         finally:
             _again.reset(before)
+        jax.clear_caches()
         renew()
         return function(*args)
 

@@ -37,7 +37,7 @@ class Region:
     """Words of 32 bits of each thread, by default in its local memory.
 
     Args:
-      number: of the region, unlike that of any other in the kernel.
+      number: of the region, unlike that of any other in the kernel in the same space.
       words: how many.
       interpret: for Pallas's interpreter, where the token is what the memory holds.
     """
