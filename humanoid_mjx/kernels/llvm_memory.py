@@ -63,17 +63,20 @@ def _some(place: Any) -> list[Any]:
     return [] if place is None else [place]
 
 
+POINTERS, ALIGNED, ALL = f"<{WIDTH} x ptr>", ("i32", "4"), (f"<{WIDTH} x i1>", "splat (i1 true)")
+"""Type and arguments of LLVM's intrinsics that access memory of each world."""
+
+
 def _read(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
     """Words that follow each other, by half as many loads as there are words."""
     dtype, count, found = params["dtype"], params["count"], []
-    pointers, whole, one = f"<{WIDTH} x ptr>", f"<{WIDTH} x i64>", type_of(dtype, False)
-    all_of_them, both = (f"<{WIDTH} x i1>", "splat (i1 true)"), one.replace(str(WIDTH), str(2 * WIDTH), 1)
+    whole, both = f"<{WIDTH} x i64>", type_of(dtype, False).replace(str(WIDTH), str(2 * WIDTH), 1)
     for each in range(0, count, 2):
         address = _address(code, params, each, args[1:])
         if each == count - 1:
             found.append(_loaded(code, address, dtype, 1 if isinstance(params["region"], tuple) else WIDTH))
             continue
-        at = (pointers, address.name), ("i32", "4"), all_of_them, (whole, "poison")
+        at = (POINTERS, address.name), ALIGNED, ALL, (whole, "poison")
         pairs = code.value(
             f"bitcast {whole} {code.call(whole, f'masked.gather.v{WIDTH}i64.v{WIDTH}p0', *at)} to {both}"
         )
@@ -86,15 +89,11 @@ def _read(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
 
 def _loaded(code: Code, address: Value, dtype: np.dtype, apart: int) -> Value:
     """What is at an address, or at one for each world; `apart`: numbers from one word to the next."""
+    kind = type_of(dtype, address.uniform and apart == 1)
     if address.uniform:
-        kind = type_of(dtype, apart == 1)
         return Value(code.value(f"load {kind}, ptr {address.name}, align {4 * apart}"), dtype, apart == 1)
-    kind, pointers = type_of(dtype, False), f"<{WIDTH} x ptr>"
     name = f"masked.gather.v{WIDTH}{'f32' if dtype.kind == 'f' else 'i32'}.v{WIDTH}p0"
-    all_of_them = (f"<{WIDTH} x i1>", "splat (i1 true)")
-    return Value(
-        code.call(kind, name, (pointers, address.name), ("i32", "4"), all_of_them, (kind, "poison")), dtype, False
-    )
+    return Value(code.call(kind, name, (POINTERS, address.name), ALIGNED, ALL, (kind, "poison")), dtype, False)
 
 
 def _written(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
@@ -167,8 +166,7 @@ def _store(code: Code, value: Value, address: Value) -> None:
         code.add(f"store {kind} {vector}, ptr {address.name}, align {4 * WIDTH}")
     else:
         name = f"masked.scatter.v{WIDTH}{'f32' if value.dtype.kind == 'f' else 'i32'}.v{WIDTH}p0"
-        pointers, all_of_them = (f"<{WIDTH} x ptr>", address.name), (f"<{WIDTH} x i1>", "splat (i1 true)")
-        code.call("void", name, (kind, vector), pointers, ("i32", "4"), all_of_them)
+        code.call("void", name, (kind, vector), (POINTERS, address.name), ALIGNED, ALL)
 
 
 def _address(code: Code, params: dict[str, Any], more: int, place: list[Value]) -> Value:

@@ -63,10 +63,6 @@ class Kept:
     """Number of the argument that it is, which changes in its place."""
 
     @property
-    def ndim(self) -> int:
-        return len(self.shape)
-
-    @property
     def at(self) -> tuple[Region, int]:
         """Its place."""
         return self.region, self.word
@@ -218,7 +214,9 @@ class Threads:
             return self.evaluate(params[CALLS[name]], args)
         if name in self.control:
             return self.control[name](eqn, *args)
-        if name in ENTRIES and _is_entry(args[0], params.get("slice_sizes") or args[1].shape, args[-args[0].ndim :]):
+        if name in ENTRIES and _is_entry(
+            args[0], params.get("slice_sizes") or args[1].shape, args[-len(args[0].shape) :]
+        ):
             return [ENTRIES[name](self, *args)]
         if name == SUM:
             return [self._with_sum(params, *args)]

@@ -6,8 +6,7 @@ uses it runs wherever jax has its CPU backend, but each control cycle waits for 
 """
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from copy import copy
 from functools import lru_cache, partial
 from typing import Any, ClassVar
@@ -240,23 +239,19 @@ def _on_host(
     *vectors: Any,
     by: Any = Native.host_call,
 ) -> list[Array]:
-    """Call a numpy function that takes vectors and gives arrays of `shapes`, all with a leading axis of worlds."""
+    """Call a numpy function that takes vectors and gives arrays of `shapes`, all with a leading axis of worlds.
+
+    One caller at a time, without warnings: worlds that diverge are flagged, but MuJoCo would report them on the
+    terminal and in a file, and numpy would warn of numbers too large for float32.
+    """
     dtype = jnp.result_type(float)
 
     def call(*arrays: Any) -> tuple[np.ndarray, ...]:
         rows = [np.asarray(x, np.float64) for x in arrays]
         worlds = rows[0].shape[:-1]
-        with _alone():
+        with _LOCK, np.errstate(over="ignore", invalid="ignore"), heard():
             results = function(*(x.reshape(-1, x.shape[-1]) for x in rows))
             return tuple(x.astype(dtype).reshape(*worlds, *x.shape[1:]) for x in results)
 
     wanted = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
     return by(call, wanted, *vectors)
-
-
-@contextmanager
-def _alone() -> Iterator[None]:
-    """One caller at a time, without warnings: worlds that diverge are flagged, but MuJoCo would report them on the
-    terminal and in a file, and numpy would warn of numbers too large for float32."""
-    with _LOCK, np.errstate(over="ignore", invalid="ignore"), heard():
-        yield

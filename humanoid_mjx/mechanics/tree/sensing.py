@@ -24,7 +24,8 @@ from humanoid_mjx.mechanics.tree.structure import Site, Tree
 
 
 def sensed(tree: Tree, gravity: Any, state: State, problem: Problem, solution: Solution) -> tuple[Any, ...]:
-    """Gyroscopes and accelerometers, poses and velocities of the bodies, forces of the ground on the feet."""
+    """Gyroscopes and accelerometers; poses of the bodies; velocities of their origins, m/s, and angular ones, rad/s, in
+    the world; forces of the ground on the feet, N."""
     gravity = numbers(gravity) if isinstance(gravity, tuple) else gravity[:, None]
     motions = motions_of(tree, state.kinematics, solution.acceleration)
     turning = [_felt(state, site, state.motions[site.body][3:]) for site in tree.gyroscopes]
@@ -32,7 +33,10 @@ def sensed(tree: Tree, gravity: Any, state: State, problem: Problem, solution: S
     pushes = _ground_forces(tree, problem, solution)
     readings = (jnp.concatenate(part) if part else jnp.zeros((0, 1)) for part in (turning, felt))
     forces = [sum((pushes[index] for index in rest), pushes[first]) for first, *rest in tree.feet]
-    return *readings, *poses(tree, state), *_velocities(tree, state), _stacked(forces, ())
+    each = zip(state.motions, state.kinematics.poses, strict=True)
+    moves = unfolded([(velocity_at(motion, pose.position), motion[3:]) for motion, pose in each], tree.body_places)
+    velocities = (_stacked([move[part] for move in moves], (3,)) for part in range(2))
+    return *readings, *poses(tree, state), *velocities, _stacked(forces, ())
 
 
 def poses(tree: Tree, state: State) -> tuple[Any, Any]:
@@ -67,13 +71,6 @@ def moving(tree: Tree, state: State) -> tuple[Any, ...]:
     motion = jnp.stack([_stacked(row, ()) for row in rows], axis=1)
     drifts = [_stacked(list(drift), (3,)) for drift in unfolded(state.drifts, tree.body_places)]
     return motion, jnp.stack(drifts), *poses(tree, state)
-
-
-def _velocities(tree: Tree, state: State) -> tuple[Any, Any]:
-    """Velocities of the origins of the bodies, m/s, and angular velocities, rad/s, in the world."""
-    each = zip(state.motions, state.kinematics.poses, strict=True)
-    own = unfolded([(velocity_at(motion, pose.position), motion[3:]) for motion, pose in each], tree.body_places)
-    return tuple(_stacked([motion[part] for motion in own], (3,)) for part in range(2))
 
 
 def _ground_forces(tree: Tree, problem: Problem, solution: Solution) -> list[Any]:
