@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import jax
 import numpy as np
 
-from humanoid_mjx.kernels.fallback import none_for, with_fallback
+from humanoid_mjx.kernels.fallback import why_none, with_fallback
 
 Arithmetic = Literal["scalars", "tree", "arrays"]
 """Arithmetic of a task: scalars of many worlds (finite tasks, the chain), the tree's scalars, or arrays (MJX)."""
@@ -124,7 +124,7 @@ def compiler_options(arithmetic: Arithmetic, program: Program = "simulation", ev
     options = {
         row.name: row.value for row in TABLE if row.backend in (None, backend) and (arithmetic, program) in row.programs
     }
-    if arithmetic == "tree" and (jax.config.read("jax_enable_x64") or none_for(backend)):
+    if arithmetic == "tree" and (jax.config.read("jax_enable_x64") or why_none()):
         options.pop(PASSES, None)
     if every_device and backend == "cpu" and jax.local_device_count() > 1 and PASSES in options:
         options[PASSES] = f"{options[PASSES]},{SPLITTING}"

@@ -33,22 +33,17 @@ def given_up() -> str | None:
 
 
 def why_none() -> str | None:
-    """Return the reason why no kernels are made here; None if they are, on a CPU or by Triton on a GPU."""
+    """Return the reason why no kernels are made here; None if they are, on a CPU by llvmlite or on a GPU by Triton."""
     backend = jax.default_backend()
+    if backend == "cpu" and not _given_up:
+        try:
+            importlib.import_module("llvmlite.binding")
+        except Exception as error:  # whatever it is, XLA does not need it
+            _given_up.append(warn(error))
     major = str(getattr(jax.local_devices()[0], "compute_capability", "")).partition(".")[0]
     if backend == "gpu" and not (major.isdigit() and int(major) >= 8):
         return "the GPU is not of NVIDIA's Ampere or later ones"
     return given_up() if backend in SLOWER else f"kernels are made for CPUs and GPUs, not for {backend!r}"
-
-
-def none_for(backend: str) -> bool:
-    """Return whether no kernel can be made: this process has given up, or llvmlite does not import for a CPU's."""
-    if backend == "cpu" and not _given_up:
-        try:
-            importlib.import_module("llvmlite.binding")
-        except Exception as error:
-            _given_up.append(warn(error))
-    return bool(_given_up)
 
 
 _again: ContextVar[bool] = ContextVar("_again", default=False)

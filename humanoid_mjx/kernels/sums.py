@@ -20,15 +20,6 @@ class _Term(NamedTuple):
     """True for a product that nothing else uses."""
 
 
-class _Sum(NamedTuple):
-    terms: list[_Term]
-    """The first is not subtracted."""
-    parts: list[Var]
-    """Sums in it that nothing else uses."""
-    fused: int
-    """Additions of a product."""
-
-
 def fused(closed: ClosedJaxpr) -> ClosedJaxpr:
     """A traced function of numbers, with sums in another order in it and in its loops and branches."""
 
@@ -56,10 +47,10 @@ def with_fused_sums(jaxpr: Jaxpr) -> list[JaxprEqn]:
     seen: set[Var] = set()
     for eqn in reversed(jaxpr.eqns):
         if _adds(eqn) and eqn.outvars[0] not in seen:
-            found = _sum(eqn, single)
-            seen |= set(found.parts)
-            if found.fused < min(sum(term.product for term in found.terms), len(found.terms) - 1):
-                changed |= {(part,): [] for part in found.parts} | {tuple(eqn.outvars): _fused(eqn, found)}
+            terms, parts, count = _sum(eqn, single)
+            seen |= set(parts)
+            if count < min(sum(term.product for term in terms), len(terms) - 1):
+                changed |= {(part,): [] for part in parts} | {tuple(eqn.outvars): _fused(eqn, terms, parts)}
     return [new for eqn in jaxpr.eqns for new in changed.get(tuple(eqn.outvars), [eqn])]
 
 
@@ -69,30 +60,28 @@ def _adds(eqn: JaxprEqn) -> bool:
     return kind is not None and kind.dtype == jnp.float32
 
 
-def _sum(eqn: JaxprEqn, single: dict[Var, JaxprEqn]) -> _Sum:
-    """A sum with all sums in it; `single`: equations of what is used once."""
-    terms: list[_Term] = []
-    parts: list[Var] = []
-    fused, product = 0, False
+def _sum(eqn: JaxprEqn, single: dict[Var, JaxprEqn]) -> tuple[list[_Term], list[Var], int]:
+    """Terms of a sum, of which the first is not subtracted; the sums in it that nothing else uses; and its additions of
+    a product. `single`: equations of what is used once."""
+    terms, parts, count, product = list[_Term](), list[Var](), 0, False
     for x, minus in zip(eqn.invars, (False, eqn.primitive.name == "sub"), strict=True):
         own = None if isinstance(x, Literal) or x.aval != eqn.outvars[0].aval else single.get(x)
         if own and _adds(own):
-            inner = _sum(own, single)
-            terms += [term._replace(minus=term.minus != minus) for term in inner.terms]
-            parts += [*inner.parts, own.outvars[0]]
-            fused += inner.fused
+            inner, others, more = _sum(own, single)
+            terms += [term._replace(minus=term.minus != minus) for term in inner]
+            parts, count = [*parts, *others, own.outvars[0]], count + more
         else:
             terms.append(_Term(x, minus, bool(own) and own.primitive.name == "mul"))
             product |= terms[-1].product
-    return _Sum(terms, parts, fused + product)
+    return terms, parts, count + product
 
 
-def _fused(eqn: JaxprEqn, found: _Sum) -> list[JaxprEqn]:
+def _fused(eqn: JaxprEqn, terms: list[_Term], parts: list[Var]) -> list[JaxprEqn]:
     """The equations of a sum that begins with what is no product."""
-    start = min(found.terms, key=lambda term: (term.minus, term.product))
-    others = sorted((term for term in found.terms if term is not start), key=lambda term: term.product)
+    start = min(terms, key=lambda term: (term.minus, term.product))
+    others = sorted((term for term in terms if term is not start), key=lambda term: term.product)
     total, equations = start.value, []
-    for term, after in zip(others, [*found.parts, eqn.outvars[0]], strict=True):
+    for term, after in zip(others, [*parts, eqn.outvars[0]], strict=True):
         primitive = sub_p if term.minus else add_p
         equations.append(eqn.replace(invars=[total, term.value], outvars=[after], primitive=primitive))
         total = after

@@ -39,6 +39,10 @@ UNROLL, WHOLE = 4, 10
 how many there is no loop."""
 
 
+class _AsksMore(Exception):
+    """A controller asks for more than angles and velocities."""
+
+
 class TreePhysics(MujocoPhysics):
     """A tree of hinges, fixed or free, on the ground."""
 
@@ -96,14 +100,15 @@ class TreePhysics(MujocoPhysics):
         return jnp.zeros(joints), jnp.zeros(joints), tuple(jnp.zeros(shape) for shape in (*sensors, *shapes))
 
     def _values(self) -> mechanics.Values:
-        push = jnp.stack([jnp.asarray(part, float) for part in self.push]) if self.free else None
-        mass, terrain, gravity = self.mass_factors(self.mass), None, None
-        friction, damping = (jnp.asarray(x, float) for x in (self.friction, self.damping))
-        if self.terrain:
-            gravity = self.gravity
-        if self.terrain and self.terrain.shaped:
-            terrain = jax.tree.map(lambda x: jnp.asarray(x, float), self.terrain)
-        return mechanics.Values(mass, friction, damping, gravity=gravity, push=push, terrain=terrain)
+        ground, shaped = self.terrain, self.terrain is not None and self.terrain.shaped
+        return mechanics.Values(
+            mass=self.mass_factors(self.mass),
+            friction=jnp.asarray(self.friction, float),
+            damping=jnp.asarray(self.damping, float),
+            gravity=self.gravity if ground else None,
+            push=jnp.stack([jnp.asarray(part, float) for part in self.push]) if self.free else None,
+            terrain=jax.tree.map(lambda x: jnp.asarray(x, float), ground) if shaped else None,
+        )
 
     def _state(self, values: mechanics.Values, world: World) -> mechanics.State:
         return one_world(_state, self.tree)(values, world.qpos, world.qvel)
@@ -126,14 +131,15 @@ class TreePhysics(MujocoPhysics):
         return cycles if cycles <= WHOLE else UNROLL
 
     def _asks_little(self, controller: Controller) -> bool:
-        """True if the controller asks for no more than angles and velocities: it calls nothing else."""
-        nothing: Any = None
+        """True if the controller asks for no more than angles and velocities."""
+
+        def more(*_: Any) -> Any:
+            raise _AsksMore
+
         state = jax.ShapeDtypeStruct((len(self.joint_names),), jnp.float32)
         try:
-            jax.eval_shape(
-                lambda *at: controller(Stages(*at, nothing, nothing, nothing, self.joint_dofs)), state, state
-            )
-        except TypeError:
+            jax.eval_shape(lambda *at: controller(Stages(*at, more, more, more, self.joint_dofs)), state, state)
+        except _AsksMore:
             return False
         return True
 
