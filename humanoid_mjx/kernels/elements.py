@@ -99,7 +99,7 @@ def computed(
             return KNOWN[name](*args)
         with jax.ensure_compile_time_eval():
             return np.asarray(bind(*map(jnp.asarray, args), **params))[()]
-    if name in ("add", "and", "div", "mul", "sub") and (found := _folded(name, *args, as_xla)) is not None:
+    if name in ("add", "and", "div", "mul", "sub") and (found := _folded(name, args[0], args[1], as_xla)) is not None:
         return found
     if name == "round":
         return _rounded(params, vector(args[0]))

@@ -24,7 +24,8 @@ def evaluated(
     values |= zip(closed.jaxpr.invars, args, strict=True)
 
     def value(x: Any) -> T:
-        return known(np.asarray(x.val, x.aval.dtype)) if isinstance(x, Literal) else values[x]
+        kind: Any = x.aval
+        return known(np.asarray(x.val, kind.dtype)) if isinstance(x, Literal) else values[x]
 
     for eqn in closed.jaxpr.eqns:
         values |= zip(eqn.outvars, apply(eqn, [value(x) for x in eqn.invars]), strict=True)

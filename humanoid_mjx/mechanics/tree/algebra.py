@@ -105,8 +105,7 @@ def joined(*parts: Any) -> Any:
 
 def block(a: Any, b: Any, c: Any, d: Any) -> Any:
     """The 6x6 matrix of the blocks `a b` above `c d`."""
-    whole = jnp.broadcast_shapes(*(part.shape[-2:] for part in (a, b, c, d)))
-    a, b, c, d = (jnp.broadcast_to(part, (*part.shape[:-2], *whole)) for part in (a, b, c, d))
+    a, b, c, d = jnp.broadcast_arrays(a, b, c, d)
     rows = [jnp.concatenate(row, axis=-3) for row in ((a, b), (c, d))]
     return jnp.concatenate(rows, axis=-4)
 

@@ -63,7 +63,8 @@ def between_boxes(pairs: Pairs, kinematics: Kinematics) -> tuple[Any, Any, Any]:
     one, two = (_placed(boxes[::CONTACTS], kinematics) for boxes in (pairs.ones, pairs.twos))
     place, normal, distance = box_contacts(one, two, pairs.surface.margin)
     both = place, jnp.broadcast_to(normal[:, None], place.shape)
-    return *(v.swapaxes(0, 2).reshape(-1, 3, 1, 1) for v in both), distance.swapaxes(0, 1).reshape(-1, 1, 1)
+    place, normal = (v.swapaxes(0, 2).reshape(-1, 3, 1, 1) for v in both)
+    return place, normal, distance.swapaxes(0, 1).reshape(-1, 1, 1)
 
 
 def _placed(boxes: Sequence[Any], kinematics: Kinematics) -> Placed:
@@ -170,7 +171,7 @@ def _least_overlap(
     edge = jnp.stack(edge)
     alike = abs(_pick(face, jnp.concatenate([edge, _along(turned.swapaxes(0, 1), edge)]))) > ALIGNED
     doubtful = (code == 6) & alike & (least < depth + SHALLOWER * abs(depth) + 1e-15)
-    return jnp.where(doubtful, face, code), face, apart, (*edges, edge)
+    return jnp.where(doubtful, face, code), face, apart, (edges[0], edges[1], edge)
 
 
 def _of_edges(
