@@ -4,7 +4,6 @@ XLA makes some four hundred kernels of a Newton step, and starting them takes as
 GPU's threads would do is compiled by LLVM, and XLA calls it through its foreign function interface.
 """
 
-import ctypes
 import hashlib
 import re
 import threading
@@ -88,15 +87,14 @@ def register(objects: dict[str, bytes]) -> None:
     """Let programs of XLA call compiled functions."""
     import llvmlite.binding as llvm
 
-    capsule = ctypes.pythonapi.PyCapsule_New
-    capsule.restype, capsule.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
     with _registering:
         for name in objects.keys() - _objects.keys():
             engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target())
             engine.add_object_file(llvm.ObjectFileRef.from_data(objects[name]))
             engine.finalize_object()
             _engines.append(engine)
-            jax.ffi.register_ffi_target(name, capsule(engine.get_function_address("call"), None, None), platform="cpu")
+            call = jax.ffi.pycapsule(engine.get_function_address("call"))
+            jax.ffi.register_ffi_target(name, call, platform="cpu")
             _objects[name] = objects[name]
 
 

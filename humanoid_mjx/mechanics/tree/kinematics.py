@@ -5,6 +5,7 @@ Angular velocities of the free body are the world's in here, its own frame's in 
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -99,19 +100,17 @@ def motions_of(tree: Tree, kinematics: Kinematics, speeds: Sequence[Any]) -> lis
     return found
 
 
-def to_world(tree: Tree, kinematics: Kinematics, rates: Sequence[Any]) -> list[Any]:
-    """Velocities or accelerations with the free body's angular part in the world's axes, from those of `qvel`."""
+def to_world(tree: Tree, kinematics: Kinematics, rates: Sequence[Any], back: bool = False) -> list[Any]:
+    """Velocities or accelerations with the free body's angular part in the world's axes, from those of `qvel`, or
+    `back` to those; forces turn alike."""
     if tree.free is None:
         return list(rates)
-    return [*rates[:3], *jnp.unstack(turn(kinematics.poses[tree.free].axes, column(rates[3:6]))), *rates[6:]]
-
-
-def to_local(tree: Tree, kinematics: Kinematics, rates: Sequence[Any]) -> list[Any]:
-    """The inverse of `to_world`; forces turn alike."""
-    if tree.free is None:
-        return list(rates)
-    turned = turn(transposed(kinematics.poses[tree.free].axes), column(rates[3:6]))
+    axes = kinematics.poses[tree.free].axes
+    turned = turn(transposed(axes) if back else axes, column(rates[3:6]))
     return [*rates[:3], *jnp.unstack(turned), *rates[6:]]
+
+
+to_local = partial(to_world, back=True)
 
 
 def unit(quaternion: Any) -> Any:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from humanoid_mjx.mechanics.tree.algebra import dot, turn
 from humanoid_mjx.mechanics.tree.cones import Cone
@@ -22,19 +22,6 @@ ROUNDS_WITH_CONES, LOW = 10, 0.1
 """With elliptic cones, which bend the problem along a line: steps, and the share of the slope that may be left."""
 
 
-class Rows(NamedTuple):
-    """Constraints along a line: their residuals are `start + share * slope`."""
-
-    weight: Float[Array, "rows lanes 1"]
-    """0 where a constraint does not count."""
-    start: Float[Array, "rows lanes 1"]
-    slope: Float[Array, "rows lanes 1"]
-
-    def at(self, share: Any) -> Float[Array, "rows lanes 1"]:
-        """The residuals."""
-        return self.start + share * self.slope
-
-
 def lowest_share(
     tree: Tree, problem: Problem, active: Active, now: Active, before: Sequence[Any], after: Sequence[Any], known: Any
 ) -> Any:
@@ -46,23 +33,24 @@ def lowest_share(
     """
     way = [two - one for one, two in zip(before, after, strict=True)]
     curve = _along(tree, way, product(tree, problem.matrix, way))
-    pushing, pushed = _pushing(tree, problem, active, before, after)
+    # Residuals of constraints along the line are `start + share * slope`; the weight is 0 where one does not count.
+    weight, push_start, push_slope, pushed = _pushing(tree, problem, active, before, after)
     bends = list(_bends(problem, active, now))
-    rubbing, (most, up, down) = _rubbing(tree, problem, active, before, after)
-    push, rub = (rows.weight * rows.slope for rows in (pushing, rubbing))
-    held = _sum(jnp.where(pushed, push * pushing.slope, 0.0))
+    stick, rub_start, rub_slope, most, up, down = _rubbing(tree, problem, active, before, after)
+    push, rub = weight * push_slope, stick * rub_slope
+    held = _sum(jnp.where(pushed, push * push_slope, 0.0))
     for bend in bends:
         held = held + _sum(bend.second)
-    whole = curve + held + _sum(jnp.where(up | down, 0.0, rub * rubbing.slope))
+    whole = curve + held + _sum(jnp.where(up | down, 0.0, rub * rub_slope))
 
     def derivatives(share: Any) -> tuple[Any, Any]:
-        residual, force = pushing.at(share), rubbing.weight * rubbing.at(share)
+        residual, force = push_start + share * push_slope, stick * (rub_start + share * rub_slope)
         pushes, sticks = residual < 0.0, jnp.abs(force) < most
         first = _sum(jnp.where(pushes == pushed, 0.0, jnp.where(pushes, push, -push) * residual))
         was = jnp.where(up, most, jnp.where(down, -most, force))
-        first = first + _sum((jnp.clip(force, -most, most) - was) * rubbing.slope)
-        second = curve + _sum(jnp.where(pushes, push * pushing.slope, 0.0))
-        second = second + _sum(jnp.where(sticks, rub * rubbing.slope, 0.0))
+        first = first + _sum((jnp.clip(force, -most, most) - was) * rub_slope)
+        second = curve + _sum(jnp.where(pushes, push * push_slope, 0.0))
+        second = second + _sum(jnp.where(sticks, rub * rub_slope, 0.0))
         for bend in bends:
             change, own = bend.at(share)
             first, second = first + change, second + own
@@ -125,10 +113,9 @@ def _along(tree: Tree, way: Sequence[Any], force: Sequence[Any]) -> Any:
     return total + lanes.sum(axis=0)
 
 
-def _pushing(
-    tree: Tree, problem: Problem, active: Active, before: Sequence[Any], after: Sequence[Any]
-) -> tuple[Rows, Bool[Array, "rows lanes 1"]]:
-    """One-sided constraints, facets of contacts and ends of ranges, and which of them `active` has."""
+def _pushing(tree: Tree, problem: Problem, active: Active, before: Sequence[Any], after: Sequence[Any]) -> list[Any]:
+    """One-sided constraints, facets of contacts and ends of ranges: weights, starts and slopes, (rows, lanes, 1), and
+    which of them `active` has."""
     found, slots = list[tuple[Any, ...]](), problem.slots
     grounds = (ground_residuals(tree, problem.kinematics, problem.ground, x) for x in (before, after))
     for touch, flags, one, two in zip(problem.ground, active.ground, *grounds, strict=True):
@@ -138,20 +125,16 @@ def _pushing(
         found.append(_row(slots.touch, slots.facets(tree, before), slots.facets(tree, after), active.pairs))
     for dof, stop in problem.stops.items():
         found.append(_row(stop, stop.residual(before[dof]), stop.residual(after[dof]), active.stops[dof]))
-    *rows, pushed = _together(found, (float, float, float, bool), tree)
-    return Rows(*rows), pushed
+    return _together(found, (float, float, float, bool), tree)
 
 
-def _rubbing(
-    tree: Tree, problem: Problem, active: Active, before: Sequence[Any], after: Sequence[Any]
-) -> tuple[Rows, tuple[Any, Any, Any]]:
-    """Dry friction, its largest forces, and where `active` has these, against a positive and a negative residual."""
+def _rubbing(tree: Tree, problem: Problem, active: Active, before: Sequence[Any], after: Sequence[Any]) -> list[Any]:
+    """Dry friction likewise, its largest forces, and where `active` has these, by the sign of the residual."""
     found = []
     for dof, slip in problem.slips.items():
         one, two = slip.residual(before[dof]), slip.residual(after[dof])
         found.append((slip.weight, one, two - one, slip.most, *active.slips[dof]))
-    *rows, most, up, down = _together(found, (float, float, float, float, bool, bool), tree)
-    return Rows(*rows), (most, up, down)
+    return _together(found, (float, float, float, float, bool, bool), tree)
 
 
 def _row(one_sided: Touch | Stop, one: Any, two: Any, flag: Any) -> tuple[Any, ...]:
