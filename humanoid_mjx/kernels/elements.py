@@ -32,11 +32,6 @@ Element = Any
 """An array of a block's threads, alike in those of one world; a numpy scalar; or a `Lane`."""
 
 
-def is_lane(element: Element, vector: Array, index: int) -> bool:
-    """True for the element of this lane of a vector."""
-    return isinstance(element, Lane) and element.vector is vector and element.index == index
-
-
 def type_of(array: np.ndarray) -> Any:
     """The type of the elements of an array."""
     element = array.flat[0]

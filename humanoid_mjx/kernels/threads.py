@@ -11,11 +11,11 @@ alike in all threads of the world.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
-from itertools import count, groupby
+from itertools import compress, count, groupby, repeat
 from typing import Any
 
 import jax
@@ -36,7 +36,6 @@ from humanoid_mjx.kernels.elements import (
     Operation,
     are_known,
     computed,
-    is_lane,
     type_of,
     vector,
 )
@@ -70,6 +69,11 @@ class Kept:
     def now(self) -> "Kept":
         """The array after all changes."""
         return replace(self, seen=self.writes[0])
+
+    def changed(self) -> "Kept":
+        """The array after one more change."""
+        self.writes[0] += 1
+        return self.now()
 
     def check(self) -> None:
         """Refuse what the array was before a change."""
@@ -160,7 +164,8 @@ class Threads:
         first = group[0]
         if all(each is first for each in group) or (are_known(group) and all(each == first for each in group)):
             return self._alike(first), True
-        if isinstance(first, Lane) and all(is_lane(each, first.vector, index) for index, each in enumerate(group)):
+        places = [(id(each.vector), each.index) for each in group if isinstance(each, Lane)]
+        if isinstance(first, Lane) and places == [(id(first.vector), index) for index in range(self.lanes)]:
             return first.vector, False
 
         def own(index: int) -> Array:
@@ -214,9 +219,7 @@ class Threads:
             return self.evaluate(params[CALLS[name]], args)
         if name in self.control:
             return self.control[name](eqn, *args)
-        if name in ENTRIES and _is_entry(
-            args[0], params.get("slice_sizes") or args[1].shape, args[-len(args[0].shape) :]
-        ):
+        if name in ENTRIES and _is_entry(params, args):
             return [ENTRIES[name](self, *args)]
         if name == SUM:
             return [self._with_sum(params, *args)]
@@ -251,9 +254,10 @@ class Threads:
         """The array with another entry there, in its place unless that is fixed."""
         kept = array if isinstance(array, Kept) and not array.fixed else self._keep([self._loaded(array)])[0]
         kept.check()
-        self._write(kept, entry, self._place(kept, index))
-        kept.writes[0] += 1
-        return kept.now()
+        place = self._place(kept, index)
+        for word, values in enumerate(self.vectors(entry.reshape(kept.shape[1:])), kept.word):
+            kept.region.write(word, place, values)
+        return kept.changed()
 
     def _with_sum(self, params: dict[str, Any], array: Held, index: np.ndarray, change: np.ndarray) -> Held:
         """The array with something added to an entry, in its place."""
@@ -264,8 +268,7 @@ class Threads:
         array.check()
         place = self._place(array, index)
         array.region.add(array.word, place, self.vectors(change.reshape(array.shape[1:])))
-        array.writes[0] += 1
-        return array.now()
+        return array.changed()
 
     def _is_view(self, eqn: Any, kept: Kept) -> bool:
         """True where an operation gives the first words of an array, in their order."""
@@ -307,10 +310,6 @@ class Threads:
         found = kept.region.row(word, place, kind, self._width(kept.shape))
         found = [values != 0 for values in found] if kept.dtype == bool else found
         return self._unpacked(found, [np.empty(kept.shape[1:], object)])[0][None]
-
-    def _write(self, kept: Kept, entry: np.ndarray, place: Array | None) -> None:
-        for word, values in enumerate(self.vectors(entry.reshape(kept.shape[1:])), kept.word):
-            kept.region.write(word, place, values)
 
     def _write_all(self, region: Region, word: int, arrays: Sequence[np.ndarray]) -> None:
         """Write whole arrays, one after another from a word on."""
@@ -411,10 +410,7 @@ class Threads:
             return jnp.asarray(flag) if self.single else self._any(flag)
 
         def packed(state: Sequence[Any]) -> list[Array]:
-            each = [(array, same) for array, moves, same in zip(state, elsewhere, uniform, strict=True) if moves]
-            return [
-                x for array, same in each for x in ([*map(jnp.asarray, array.flat)] if same else self.vectors(array))
-            ]
+            return self._packed(compress(state, elsewhere), compress(uniform, elsewhere))
 
         def step(carry: tuple[Any, ...]) -> tuple[Any, ...]:
             with self._inside(carry[1]) as tokens:
@@ -486,8 +482,10 @@ class Threads:
     def _any(self, flag: Element) -> Array:
         return self.any_of(vector(self._alike(flag)))
 
-    def _packed(self, arrays: Sequence[Held]) -> list[Array]:
-        return [each for array in arrays for each in self.vectors(array)]
+    def _packed(self, arrays: Iterable[Held], uniform: Iterable[bool] = repeat(False)) -> list[Array]:
+        """The elements of arrays as vectors, or as scalars of those that are uniform."""
+        each = zip(arrays, uniform, strict=False)
+        return [x for array, same in each for x in (map(jnp.asarray, array.flat) if same else self.vectors(array))]
 
     def _unpacked(self, vectors: Sequence[Array], like: Sequence[Held]) -> list[Any]:
         found, rest = [], iter(vectors)
@@ -605,6 +603,8 @@ def power_of_two(lanes: int) -> int:
     return 1 << (lanes - 1).bit_length()
 
 
-def _is_entry(array: Held, sizes: Sequence[int], starts: Sequence[np.ndarray]) -> bool:
-    """True for one entry along the first axis, at an index that is not known while tracing."""
-    return tuple(sizes) == (1, *array.shape[1:]) and not isinstance(starts[0].item(), np.generic)
+def _is_entry(params: dict[str, Any], args: Sequence[Any]) -> bool:
+    """True for one entry along the first axis of an array, at an index that is not known while tracing."""
+    shape = args[0].shape
+    sizes, start = params.get("slice_sizes") or args[1].shape, args[-len(shape)].item()
+    return tuple(sizes) == (1, *shape[1:]) and not isinstance(start, np.generic)
