@@ -50,10 +50,14 @@ _again: ContextVar[bool] = ContextVar("_again", default=False)
 """True within a call that `with_fallback` would repeat."""
 
 
+def _reason(error: BaseException) -> str:
+    words = (str(error).strip() or "no message").splitlines()[0]
+    return f"{type(error).__name__}: {words}"[:200]
+
+
 def warn(error: BaseException) -> str:
     """Warn, once for each reason, that XLA computes what a kernel would; return the reason."""
-    words = (str(error).strip() or "no message").splitlines()[0]
-    reason = f"{type(error).__name__}: {words}"[:200]
+    reason = _reason(error)
     if reason not in reasons:
         reasons.append(reason)
         logging.getLogger(__name__).warning(
@@ -72,9 +76,10 @@ def by_xla_instead(error: Exception) -> None:
     Raises:
       Exception: the error, where the program will be traced and compiled again, with these options.
     """
-    _given_up.append(warn(error))
+    reason = warn(error)
     if _again.get():
         raise error
+    _given_up.append(reason)
 
 
 def with_fallback(function: Callable[..., Any], renew: Callable[[], object] = lambda: None) -> Callable[..., Any]:
@@ -90,10 +95,9 @@ def with_fallback(function: Callable[..., Any], renew: Callable[[], object] = la
             return function(*args)
         except Exception as error:
             said = f"{type(error).__name__} {error}".lower()
-            if without or not (_given_up or any(word in said for word in WORDS)):
+            if without or not (_reason(error) in reasons or any(word in said for word in WORDS)):
                 raise
-            if not _given_up:
-                _given_up.append(warn(error))
+            _given_up.append(warn(error))
         finally:
             _again.reset(before)
         jax.clear_caches()

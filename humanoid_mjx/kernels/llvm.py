@@ -5,6 +5,7 @@ A value that is the same in all worlds, as a counter or a known number, is a sca
 
 import struct
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import count
 from typing import Any
 
@@ -29,6 +30,7 @@ class Value:
         return type_of(self.dtype, self.uniform)
 
 
+@cache
 def type_of(dtype: Any, uniform: bool) -> str:
     """LLVM's type of a scalar, or of a vector."""
     kind = {"bool": "i1", "int32": "i32", "uint32": "i32", "float32": "float"}.get(np.dtype(dtype).name)

@@ -62,20 +62,17 @@ class TreePhysics(MujocoPhysics):
 
     def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
         """A world that diverges in the step, or whose contacts were not found, stays where it was."""
-        values = self._values()
-        torque = self._ask(values, world, controller)
-        return World(*self._move(_advance, values, world, torque)), torque
+        torque = self._ask(world, controller)
+        return World(*self._move(_advance, world, torque)), torque
 
     def run(self, world: World, controller: Controller, cycles: int) -> World:
         return super().run(_batched(world, world), controller, cycles)
 
     def run_sensed(self, world: World, controller: Controller, cycles: int) -> tuple[World, Sensed]:
-        values = self._values()
-
         def cycle(carry: tuple[World, Any], last: BoolScalar) -> tuple[tuple[World, Any], None]:
             now = carry[0]
-            torque = self._ask(values, now, controller)
-            parts, seen = self._move(_advance_sensed, values, now, torque, last)
+            torque = self._ask(now, controller)
+            parts, seen = self._move(_advance_sensed, now, torque, last)
             return (World(*parts), (now.qpos[self.joint_qpos], torque, seen)), None
 
         last, unroll = jnp.arange(cycles) == cycles - 1, self._unroll(controller, cycles)
@@ -83,8 +80,8 @@ class TreePhysics(MujocoPhysics):
         return world, self._seen(*jax.tree.map(lambda part: jnp.where(world.diverged, 0.0, part), sensed))
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
-        values, torque = self._values(), self._within(torque)
-        seen = self._move(_advance_sensed, values, world, torque, jnp.bool_(True))[1]
+        torque = self._within(torque)
+        seen = self._move(_advance_sensed, world, torque, jnp.bool_(True))[1]
         return self._seen(world.qpos[self.joint_qpos], torque, seen)
 
     def _seen(self, encoders: Any, torque: Any, seen: tuple[Any, ...]) -> Sensed:
@@ -110,14 +107,14 @@ class TreePhysics(MujocoPhysics):
             terrain=jax.tree.map(lambda x: jnp.asarray(x, float), ground) if shaped else None,
         )
 
-    def _state(self, values: mechanics.Values, world: World) -> mechanics.State:
-        return one_world(_state, self.tree)(values, world.qpos, world.qvel)
+    def _state(self, world: World) -> mechanics.State:
+        return one_world(_state, self.tree)(self._values(), world.qpos, world.qvel)
 
-    def _move(self, function: Any, values: mechanics.Values, world: World, *given: Any) -> Any:
+    def _move(self, function: Any, world: World, *given: Any) -> Any:
         """`_advance` or `_advance_sensed`, of float32 in one kernel."""
         tree = self.tree
         move = one_kernel(function, tree, lanes=tree.lanes) if _kernels_run() else one_world(function, tree)
-        return move(values, tuple(world), *given)
+        return move(self._values(), tuple(world), *given)
 
     def _within(self, torque: Any) -> Float[Array, " joints"]:
         factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
@@ -143,13 +140,10 @@ class TreePhysics(MujocoPhysics):
             return False
         return True
 
-    def _ask(self, values: mechanics.Values, world: World, controller: Controller) -> Float[Array, " joints"]:
+    def _ask(self, world: World, controller: Controller) -> Float[Array, " joints"]:
         """Return the torque that the controller commands."""
-        state = Once(partial(self._state, values, world))
+        state = Once(partial(self._state, world))
         dynamics = one_world(sensing.dynamics, self.tree)
-
-        def of_other(physics: TreePhysics) -> tuple[Float[Array, "nv nv"], Float[Array, " nv"]]:
-            return dynamics(self._state(physics._values(), world))
 
         def contacts() -> Contacts:
             if not self.tree.feet:
@@ -162,7 +156,11 @@ class TreePhysics(MujocoPhysics):
             jacobian = jacobian_of(position, self.ground_points[1], motion, origin)
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
-        return self._within(controller(self._stages(world, lambda: dynamics(state()), of_other, contacts)))
+        return self._within(
+            controller(
+                self._stages(world, lambda: dynamics(state()), lambda other: dynamics(other._state(world)), contacts)
+            )
+        )
 
 
 def _kernels_run() -> bool:
