@@ -37,30 +37,26 @@ class Words(Region):
         self.token = jnp.zeros(THREADS, jnp.int32)
 
     def read(self, word: int, place: Any, dtype: Any) -> Any:
-        return self._read(word, place, dtype, 1)[0]
+        return self._bind(read_words, word, place, dtype=np.dtype(dtype), count=1)[0]
 
     def row(self, word: int, place: Any, dtype: Any, count: int) -> list[Any]:
-        together = isinstance(self.where["region"], str)
-        return self._read(word, place, dtype, count) if together else super().row(word, place, dtype, count)
+        if not isinstance(self.where["region"], str):
+            return super().row(word, place, dtype, count)
+        return self._bind(read_words, word, place, dtype=np.dtype(dtype), count=count)
 
     def write(self, word: int, place: Any, values: Any) -> None:
-        self._change(write_words, word, place, [values.astype(jnp.int32) if values.dtype == bool else values])
+        values = values.astype(jnp.int32) if values.dtype == bool else values
+        self.token = self._bind(write_words, word, place, values, count=1)
 
     def add(self, word: int, place: Any, changes: Sequence[Any]) -> None:
-        self._change(add_words, word, place, changes)
+        self.token = self._bind(add_words, word, place, *changes, count=len(changes))
 
     def fill(self, word: int, count: int, bits: int) -> None:
-        self._change(write_words, word, None, [jnp.full(THREADS, bits, jnp.int32)] * count)
+        self.token = self._bind(write_words, word, None, *[jnp.full(THREADS, bits, jnp.int32)] * count, count=count)
 
-    def _read(self, word: int, place: Any, dtype: Any, count: int) -> list[Any]:
-        return read_words.bind(self.token, *_some(place), **self.where, word=word, dtype=np.dtype(dtype), count=count)
-
-    def _change(self, primitive: Primitive, word: int, place: Any, values: Sequence[Any]) -> None:
-        self.token = primitive.bind(self.token, *values, *_some(place), **self.where, word=word, count=len(values))
-
-
-def _some(place: Any) -> list[Any]:
-    return [] if place is None else [place]
+    def _bind(self, primitive: Primitive, word: int, place: Any, *values: Any, **params: Any) -> Any:
+        places = [] if place is None else [place]
+        return primitive.bind(self.token, *values, *places, **self.where, word=word, **params)
 
 
 POINTERS, ALIGNED, ALL = f"<{WIDTH} x ptr>", ("i32", "4"), (f"<{WIDTH} x i1>", "splat (i1 true)")

@@ -485,7 +485,11 @@ class Threads:
     def _packed(self, arrays: Iterable[Held], uniform: Iterable[bool] = repeat(False)) -> list[Array]:
         """The elements of arrays as vectors, or as scalars of those that are uniform."""
         each = zip(arrays, uniform, strict=False)
-        return [x for array, same in each for x in (map(jnp.asarray, array.flat) if same else self.vectors(array))]
+        return [
+            x
+            for array, same in each
+            for x in (map(jnp.asarray, self._loaded(array).flat) if same else self.vectors(array))
+        ]
 
     def _unpacked(self, vectors: Sequence[Array], like: Sequence[Held]) -> list[Any]:
         found, rest = [], iter(vectors)
