@@ -64,9 +64,10 @@ class Pace:
     estimate simulates the slots, each at its own pace. Compiling and evaluating are timed separately from training.
     """
 
-    def __init__(self, runs: int, programs: int = 1):
-        """Begin without any look. `runs`: number of runs of the sweep; `programs`: number of its compiled programs."""
-        self.programs = programs
+    def __init__(self, programs: int = 1, later: float = 0.0):
+        """Begin without any look. `programs`: number of the sweep's compiled programs; `later`: the training of the
+        rungs that follow this one, as a share of its own."""
+        self.programs, self.later = programs, later
         self.done = 0.0
         """Runs that are done, parts of runs counted; it never falls."""
         self.trained_s = self.compiled_s = self.evaluated_s = 0.0
@@ -75,8 +76,9 @@ class Pace:
         self._look: Look | None = None
         self._began = 0.0, 0
         """`done` and the finished runs at the first look."""
-        self._whole = np.full(runs, np.nan)
-        """Seconds that each run seen so far trains from its beginning to its end."""
+        self._whole, self._over = np.zeros(0), deque[float](maxlen=PLAYED_OUT)
+        """Seconds that each slot's run trains from its beginning to its end, NaN until they are known; and those of the
+        last runs that left their slots."""
         self._late = np.zeros((2, 0))
         """Progress of each slot's run and the seconds that it took, the latest counting most."""
         self._late_in_all = np.zeros(2)
@@ -93,7 +95,12 @@ class Pace:
         # Runs that were harvested are for a moment neither under way nor stored.
         done = max(self.done, look.finished + float(np.minimum(look.progress[look.slots >= 0], 1.0).sum()))
         if before is None or len(before.slots) != len(look.slots):
-            self._late = np.zeros((2, len(look.slots)))
+            self._over.extend(_known(self._whole).tolist())
+            self._late, self._whole = np.zeros((2, len(look.slots))), np.full(len(look.slots), np.nan)
+        else:
+            others = look.slots != before.slots
+            self._over.extend(_known(self._whole[others]).tolist())
+            self._whole[others] = np.nan
         if before is None:
             self._began, self.done = (done, look.finished), done
         elif before.phase == "training":
@@ -125,7 +132,7 @@ class Pace:
         self._late = np.where(first < 1.0, late, self._late)  # those that are over only wait for their harvest
         moved, seconds = self._late
         known = (look.slots >= 0) & (moved > 0) & ((seconds >= KNOWN_S) | (look.progress >= 1.0))
-        self._whole[look.slots[known]] = seconds[known] / moved[known]
+        self._whole[known] = seconds[known] / moved[known]
 
     @property
     def recent(self) -> float:
@@ -135,9 +142,9 @@ class Pace:
 
     @property
     def left_s(self) -> float | None:
-        """Seconds until the runs in the slots and those that wait are trained and evaluated; None where no pace is
-        known yet."""
-        seen = self._whole[np.isfinite(self._whole)]
+        """Seconds until the runs in the slots, those that wait and those of later rungs are trained and evaluated; None
+        where no pace is known yet."""
+        seen = np.append(_known(self._whole), self._over)
         if not len(seen) or self._look is None:
             return None
         look = self._look
@@ -147,13 +154,13 @@ class Pace:
         left, (seconds, ended) = look.waiting + int((look.slots >= 0).sum()), self._evaluated
         expected = float(seen.mean()) * look.evaluation * -(-left // len(look.slots))
         expected = seconds / ended * left if ended else expected
-        return training + compiling + (_left(expected - (self.evaluated_s - seconds)) if left else 0.0)
+        here = training + compiling + (_left(expected - (self.evaluated_s - seconds)) if left else 0.0)
+        return here + self.later * (self.trained_s + self.compiled_s + self.evaluated_s + here)
 
     def _training_s(self, seen: Float[np.ndarray, " seen"], look: Look) -> float:
         """Seconds of training left, by runs seen so far: the waiting ones are like them, and begin in the order in
         which slots become free."""
-        whole = np.where(look.slots >= 0, self._whole[look.slots], 0.0)
-        whole = np.where(np.isnan(whole), seen.mean(), whole)
+        whole = np.where(look.slots >= 0, np.where(np.isnan(self._whole), seen.mean(), self._whole), 0.0)
         free = (whole * np.clip(1.0 - look.progress, 0.0, 1.0)).tolist()
         heapq.heapify(free)
         now = min(look.waiting, PLAYED_OUT)
@@ -182,6 +189,10 @@ class Pace:
             if len(lengths):
                 found["episodes_per_s"] = speed * float(np.mean(1.0 / lengths))
         return {name: float(f"{rate:.4g}") for name, rate in found.items()}
+
+
+def _known(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " known"]:
+    return values[np.isfinite(values)]
 
 
 def _left(seconds: float) -> float:
@@ -230,13 +241,13 @@ def _measure(here: Here, index: int, measured_s: float) -> tuple[float, float, f
     pool.finish()
     evaluate_s = time.monotonic() - compiled
     rounds = -(-len(runs) * plan.num_runs // (len(plan.points) * group.seeds * len(pool.slots)))
-    train_s = _seconds_of_training(pool, int(group.runs[-1]) + 1, measured_s)
+    train_s = _seconds_of_training(pool, measured_s)
     return max(compiled - began - evaluate_s, 0.0), train_s, rounds * evaluate_s
 
 
-def _seconds_of_training(pool: Pool, runs: int, measured_s: float) -> float:
-    """Seconds that the runs of a pool train, of a sweep of so many, by their pace in `measured_s`, s."""
-    pace, trained_s, looks, over = Pace(runs), 0.0, 0, 0
+def _seconds_of_training(pool: Pool, measured_s: float) -> float:
+    """Seconds that the runs of a pool train, by their pace in `measured_s`, s."""
+    pace, trained_s, looks, over = Pace(), 0.0, 0, 0
     while pool.busy.any():
         pace.look(trained_s, Look("training", pool.slots.copy(), pool.progress, len(pool.waiting), over))
         if trained_s >= measured_s and looks >= LEAST_LOOKS and pace.left_s is not None:

@@ -58,8 +58,7 @@ class Session:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
         self.scores = np.zeros((most // plan.config.seeds, 3))
         """Of each point the number of runs that this session has finished, and the sums of their success and return."""
-        self.rung, self.pace = 0, Pace(most, len(plan.groups))
-        """The present rung, and the pace of its runs."""
+        self._begin(0)
         self.under_way: dict[str, chunks.UnderWay] = {}
         self.machines: set[str] = set()
         self.reported = 0.0
@@ -86,6 +85,11 @@ class Session:
             if chosen := [chunk for chunk in every if numbers is None or chunk.number in numbers]:
                 engine.train(chosen, self)
 
+    def _begin(self, rung: int) -> None:
+        work, *later = (each.points * each.budget for each in self.plan.rungs[rung:])
+        self.rung, self.pace = rung, Pace(len(self.plan.groups), sum(later) / work)
+        """The present rung, and the pace of its runs."""
+
     def _go_on(self) -> np.ndarray:
         """Begin the next rung; its points, as in `Group.points`: the best of the rung before, which is stored.
 
@@ -101,7 +105,7 @@ class Session:
                 f"{self.folder.path}: {missing:,} of {due:,} runs of rung {self.rung + 1} are not finished, and their "
                 "results decide which points train next; the same command with resume=True trains them."
             )
-        self.rung, self.pace = self.rung + 1, Pace(len(self.scores) * plan.config.seeds, len(plan.groups))
+        self._begin(self.rung + 1)
         rung = plan.rungs[self.rung]
         best = ranked((), {"point": arrays["point"]} | scores(arrays), plan.config.episodes is not None)[: rung.points]
         self.reporter.note(

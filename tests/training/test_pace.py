@@ -34,7 +34,7 @@ def folder(tmp_path):
 
 def looked(plan, *looks):
     """A pace that has seen so much of the budget of one run done at each time, and what went on."""
-    pace = Pace(1)
+    pace = Pace()
     for time_s, done, *phase in looks:
         pace.look(time_s, Look(*phase or ["training"], np.array([0]), np.array([done / plan.budget]), 0, 0))
     return pace
@@ -45,7 +45,7 @@ def test_the_rate_is_that_of_training_without_compiling_and_evaluating(folder):
     looks = (0.0, 50.0, "compiling"), (60.0, 50.0), (61.0, 100.0), (63.0, 300.0, "evaluating"), (90.0, 300.0)
     assert looked(of, *looks).rates(of, folder) == {"steps_per_s": 2083.0, "episodes_per_s": 83.33}
     # A training that is over at the first look has none.
-    assert looked(of, (1.0, 100.0), (2.0, 100.0)).rates(of, folder) == Pace(1).rates(plan("step"), folder) == {}
+    assert looked(of, (1.0, 100.0), (2.0, 100.0)).rates(of, folder) == Pace().rates(plan("step"), folder) == {}
 
 
 def test_steps_are_episodes_by_the_length_of_each_and_those_that_feed_one_table_count_all(folder):
@@ -111,9 +111,9 @@ def played_out(lengths_s, size, compile_s=0.0, evaluate_s=0.0, share=lambda pass
         now, trained_s = now + EVERY_S, trained_s + EVERY_S
 
 
-def estimates(looks, runs, programs=1):
+def estimates(looks, **options):
     """The time left that is told at each moment of a sweep, and its end."""
-    pace, found, now = Pace(runs, programs), {}, 0.0
+    pace, found, now = Pace(**options), {}, 0.0
     for now, look in looks:
         pace.look(now, look)
         found[now] = pace.left_s
@@ -125,7 +125,7 @@ def test_the_time_left_is_right_within_a_fifth_from_the_middle_on(slow):
     """Runs of 8 to 12 s, and a share of them that take ten times as long, as where the reward pays for waiting."""
     draw = np.random.default_rng(3)
     lengths_s = draw.uniform(8.0, 12.0, 600) * np.where(draw.random(600) < slow, 10.0, 1.0)
-    found, end = estimates(played_out(lengths_s, 50), 600)
+    found, end = estimates(played_out(lengths_s, 50))
     for now, seconds in found.items():
         if end / 2 < now < end:
             assert seconds == pytest.approx(end - now, rel=0.2, abs=3.0), now
@@ -135,13 +135,19 @@ def test_the_time_left_is_right_within_a_fifth_from_the_middle_on(slow):
 @pytest.mark.parametrize("size", [4, 12])
 def test_compiling_and_evaluating_have_their_share(evaluate_s, size):
     """Three times four runs, or twelve at once, of 30 s; compiling takes 20 s, a tenth to two thirds of all."""
-    found, end = estimates(played_out(np.full(12, 30.0), size, 20.0, evaluate_s), 12)
+    found, end = estimates(played_out(np.full(12, 30.0), size, 20.0, evaluate_s))
     assert all(found[now] is None for now in found if now <= 20.0)
     assert all(found[now] == pytest.approx(end - now, rel=0.1, abs=2.0) for now in found if 22.0 < now < end)
 
 
+def test_later_rungs_take_as_long_as_their_share_of_the_work():
+    """Three rungs of the same work: at the end of the first two thirds are left."""
+    found, end = estimates(played_out(np.full(40, 8.0), 10, 10.0, 2.0), later=2.0)
+    assert all(found[now] == pytest.approx(3 * end - now, rel=0.15) for now in found if 14.0 < now <= end)
+
+
 def test_nothing_is_said_before_a_pace_is_known():
-    pace = Pace(4)
+    pace = Pace()
 
     def left(time_s, progress, waiting):
         pace.look(time_s, Look("training", np.array([0, 1]), np.array(progress), waiting, 0))
@@ -150,7 +156,7 @@ def test_nothing_is_said_before_a_pace_is_known():
     assert left(0.0, [0.0, 0.0], 2) is None
     assert left(0.2, [0.1, 0.1], 2) is None
     # Run 0 needs 9 s more; run 1, which has not moved, is taken to be like it.
-    pace = Pace(4)
+    pace = Pace()
     assert left(0.0, [0.0, 0.0], 0) is None
     assert left(1.0, [0.1, 0.0], 0) == pytest.approx(10.0)
 
