@@ -14,8 +14,8 @@ from humanoid_mjx.kernels.primitives import CALLS, FUNCTIONS, evaluated, uniform
 
 COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge")
 WORDS = {name: name for name in ("add", "and", "mul", "or", "sub", "xor")}
-WORDS |= {"shift_left": "shl", "shift_right_arithmetic": "ashr", "shift_right_logical": "lshr", "eq": "icmp eq"}
-WORDS |= {"ne": "icmp ne"}
+WORDS |= {"shift_left": "shl", "shift_right_arithmetic": "ashr", "shift_right_logical": "lshr"}
+WORDS |= {"eq": "icmp eq", "ne": "icmp ne"}
 UNSIGNED = {name: f"icmp u{name}" for name in COMPARISONS[2:]} | WORDS
 INSTRUCTIONS: dict[str, dict[str, str]] = {
     "b": UNSIGNED,
@@ -153,7 +153,6 @@ def _while(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
     params, number = eqn.params, next(code.numbers)
     first, last = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
     uniform, start, before = uniform_carry(eqn, [arg.uniform for arg in args]), args[last:], code.label
-
     begun = [*map(code.vector, start, uniform)]
     code.add(f"br label %head{number}")
     code.begin(f"head{number}")
