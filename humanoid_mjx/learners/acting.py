@@ -49,17 +49,14 @@ def step_all(
     sums = {"episodes": done, "steps": done * length, "success": done & state.success}
     sums |= {name: done * total for name, total in totals.items()}
     sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in sums.items()}
-    resets = _reset_done if jax.default_backend() == "cpu" and len(done) > RESETS else _reset_all
+    few = jax.default_backend() == "cpu" and len(done) > RESETS
+    resets = _reset_done if few else jax.vmap(auto_reset, (None, 0, 0))
     totals = {name: total * ~done for name, total in totals.items()}
     return Envs(resets(env, state, reset_keys), envs.episode + done, length * ~done, totals), state, sums
 
 
-def _reset_all(env: ContinuousTask, state: State, keys: Key[Array, " envs"]) -> State:
-    return jax.vmap(auto_reset, in_axes=(None, 0, 0))(env, state, keys)
-
-
 def _reset_done(env: ContinuousTask, state: State, keys: Key[Array, " envs"]) -> State:
-    """`_reset_all`, for the ended episodes alone, `RESETS` at a time."""
+    """`auto_reset` of all, for the ended episodes alone, `RESETS` at a time."""
     count = jnp.cumsum(state.done)
 
     def some(block: IntScalar, old: tuple[Any, Array]) -> tuple[Any, Array]:

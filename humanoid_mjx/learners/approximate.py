@@ -20,7 +20,6 @@ from humanoid_mjx.learners import exploration
 from humanoid_mjx.learners.acting import Envs, of_all_devices, start_all, step_all
 from humanoid_mjx.learners.base import ENVS, Outcome, StepLearner
 from humanoid_mjx.learners.normalisation import Moments, moments, observe
-from humanoid_mjx.learners.targets import lambda_targets
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -62,7 +61,6 @@ class Experience(NamedTuple):
 
 RETIRED = {"action_repeat": 1, "basis": "tiles", "coarse_to_fine": False}
 """Keys of earlier versions, with the only value that they may still have: stored configs hold them."""
-
 
 READ_WITH = {
     "exploration": {"epsilon": "epsilon_greedy", "epsilon_spread": "epsilon_greedy", "temperature": "boltzmann"}
@@ -252,3 +250,32 @@ class Batch(NamedTuple):
 def chosen(q: Float[Array, "*batch joints bins"], action: Int[Array, "*batch joints"]) -> Float[Array, "*batch"]:
     """Q of an action: the mean over the joints of their choices' values."""
     return jnp.take_along_axis(q, action[..., None], axis=-1)[..., 0].mean(axis=-1)
+
+
+def lambda_targets(
+    reward: Float[Array, "steps envs"],
+    terminated: Bool[Array, "steps envs"],
+    truncated: Bool[Array, "steps envs"],
+    next_value: Float[Array, "steps envs"],
+    discount: FloatScalar,
+    trace_decay: FloatScalar,
+) -> Float[Array, "steps envs"]:
+    """Peng's Q(lambda) (J. Peng and R. Williams, 1996) as parallel Q-learning uses it (M. Gallici et al., 2024, eq. 5).
+
+        G_t = r_t + discount * (trace_decay * G_{t+1} + (1 - trace_decay) * max_a Q(s_{t+1}, a))
+
+    with nothing beyond a terminal state, and the maximum alone beyond a truncated one and at the end of the piece.
+    With trace_decay 0 these are one-step targets, with 1 the rewards to the end of the episode or piece.
+
+    Args:
+      next_value: max_a Q of the state that each step led to, before any reset, or another value of it.
+    """
+
+    def back(following: Array, step: tuple[Array, ...]) -> tuple[Array, Array]:
+        reward, terminated, truncated, value = step
+        ahead = jnp.where(truncated, value, trace_decay * following + (1.0 - trace_decay) * value)
+        target = reward + discount * jnp.where(terminated, 0.0, ahead)
+        return target, target
+
+    steps = reward, terminated, truncated, next_value
+    return jax.lax.scan(back, next_value[-1], steps, reverse=True)[1]

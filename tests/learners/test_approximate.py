@@ -25,14 +25,13 @@ from humanoid_mjx.config import load
 from humanoid_mjx.evaluation.replay import replay, why_stopped
 from humanoid_mjx.learners import acting, exploration
 from humanoid_mjx.learners.acting import start_all, step_all
-from humanoid_mjx.learners.approximate import Batch
+from humanoid_mjx.learners.approximate import Batch, lambda_targets
 from humanoid_mjx.learners.base import ENVS
 from humanoid_mjx.learners.deep import DeepQ, QNetwork
 from humanoid_mjx.learners.features import Scale, combined, tile_coding
 from humanoid_mjx.learners.linear import LinearQ
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
-from humanoid_mjx.learners.targets import lambda_targets
-from humanoid_mjx.tasks.continuous import ContinuousTask
+from humanoid_mjx.tasks.continuous import ContinuousTask, auto_reset
 from humanoid_mjx.training import pool
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.pool import Pool
@@ -153,9 +152,8 @@ def test_only_episodes_that_ended_begin_anew(ended):
     done = np.random.default_rng(0).permutation(40) < ended
     state = jax.tree.map(lambda x: jnp.stack([x, x]), state._replace(truncated=jnp.asarray(done)))
     state = state._replace(truncated=state.truncated.at[1].set(False))
-    resets = [
-        jax.jit(jax.vmap(lambda s, f=f: f(task, s, keys)))(state) for f in (acting._reset_done, acting._reset_all)
-    ]
+    plain = jax.vmap(auto_reset, (None, 0, 0))
+    resets = [jax.jit(jax.vmap(lambda s, f=f: f(task, s, keys)))(state) for f in (acting._reset_done, plain)]
     for found, expected in zip(*map(jax.tree.leaves, resets), strict=True):
         np.testing.assert_allclose(np.asarray(found, float), np.asarray(expected, float), rtol=1e-6, atol=1e-7)
 
