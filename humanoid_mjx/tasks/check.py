@@ -1,8 +1,6 @@
 """Check a user's own task against its protocol: trace it once, before anything is compiled."""
 
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -35,17 +33,11 @@ def check_task(task: Task) -> str:
     cls = type(task)
     if cls.__module__.partition(".")[0] == __name__.partition(".")[0]:
         return ""
-    with _faults_as_sentences(cls):
-        check: Any = _check_finite if isinstance(task, FiniteTask) else _check_continuous
+    check: Any = _check_finite if isinstance(task, FiniteTask) else _check_continuous
+    try:
         jax.eval_shape(lambda task: check(task, cls.__name__, rng.key(0)), jax.tree.map(jnp.asarray, task))
         # The physics of a robot takes long to compile.
         return _check_numbers(task) if getattr(task, "simulator", None) is None else ""
-
-
-@contextmanager
-def _faults_as_sentences(cls: type[Task]) -> Iterator[None]:
-    try:
-        yield
     except NotImplementedError as error:
         method = traceback.extract_tb(error.__traceback__)[-1].name
         raise InputError(f"task: {cls.__name__} must implement {method}.") from error

@@ -1,6 +1,5 @@
 """Find the shortest path on a grid among static obstacles (thesis section 6.2)."""
 
-from collections import deque
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -94,13 +93,10 @@ def shortest_path(grid: tuple[str, ...]) -> int | None:
     """The number of moves from S to G by breadth-first search; None where there is no way."""
     cells = next_cells(grid).reshape(-1, len(MOVES))
     start, goal = "".join(grid).index("S"), "".join(grid).index("G")
-    distance, queue = {start: 0}, deque([start])
-    while queue:
-        cell = queue.popleft()
-        if cell == goal:
-            return distance[cell]
-        for neighbour in cells[cell].tolist():
-            if neighbour not in distance:
-                distance[neighbour] = distance[cell] + 1
-                queue.append(neighbour)
+    reached, edge, moves = {start}, {start}, 0
+    while edge:
+        if goal in edge:
+            return moves
+        edge, moves = set(cells[list(edge)].ravel().tolist()) - reached, moves + 1
+        reached |= edge
     return None

@@ -90,8 +90,7 @@ class PostureSwitch(FiniteTask):
         return np.radians(np.linspace(start, goal, self.places)).T
 
     def reset(self, key: Key[Array, ""]) -> Body:
-        qpos = self.whole_body(self.grid[:, 0])
-        world = self.plant.start(qpos, jnp.zeros(len(qpos)))
+        world = self.plant.start(*self._start)
         return Body(world, self._encoders(world, key), jnp.int32(0))
 
     def step(self, state: Body, action: IntScalar, key: Key[Array, ""]) -> tuple[Body, FloatScalar, BoolScalar]:
@@ -103,8 +102,7 @@ class PostureSwitch(FiniteTask):
     def outcome(self, state: Body, world: World, key: Key[Array, ""]) -> tuple[Body, FloatScalar, BoolScalar]:
         """The result of `step` where a decision in `state` led to `world`."""
         broken = world.diverged
-        qpos = self.whole_body(self.grid[:, 0])
-        world = self.plant.reset(world, broken, qpos, jnp.zeros(len(qpos)))
+        world = self.plant.reset(world, broken, *self._start)
         after = Body(world, self._encoders(world, key), state.diverged + broken)
         arrived = ~broken & self.near(world, self.grid[:, -1])
         return after, self.step_reward + jnp.where(arrived, self.bonus, 0.0), arrived
@@ -123,8 +121,9 @@ class PostureSwitch(FiniteTask):
 
     def near(self, world: World, place: Float[np.ndarray, "3"]) -> BoolScalar:
         """Return whether both legs are in a posture, rad, and at rest."""
-        near = jnp.abs(world.qpos - self.whole_body(place)) <= self.tolerance * (np.pi / 180)
-        return near.all() & (jnp.abs(world.qvel) <= REST).all()
+        legs = self._legs(world)
+        near = jnp.abs(legs.qpos - self.whole_body(place)) <= self.tolerance * (np.pi / 180)
+        return near.all() & (jnp.abs(legs.qvel) <= REST).all()
 
     def whole_body(self, moved: Float[Array, "3"] | Float[np.ndarray, "3"]) -> Float[Array, "10"]:
         """The joints of both legs from the three of the right that move, rad."""
@@ -153,7 +152,18 @@ class PostureSwitch(FiniteTask):
 
     def _encoders(self, world: World, key: Key[Array, ""]) -> Float[Array, "3"]:
         noise = self.encoder_noise * (np.pi / 180) * jax.random.normal(key, (len(MOVED),))
-        return jnp.stack([world.qpos[joint] for joint in MOVED]) + noise
+        qpos = self._legs(world).qpos
+        return jnp.stack([qpos[joint] for joint in MOVED]) + noise
+
+    @property
+    def _start(self) -> tuple[Float[Array, " nq"], Float[Array, " nv"]]:
+        """`qpos` and `qvel` at the start of an episode."""
+        qpos = self.whole_body(self.grid[:, 0])
+        return qpos, jnp.zeros(len(qpos))
+
+    def _legs(self, world: World) -> World:
+        """The world of the legs' joints alone."""
+        return world
 
     def _way(self, encoders: Float[Array, "3"]) -> Float[Array, "3"]:
         """Places of the moved joints: start is 0, goal 1."""

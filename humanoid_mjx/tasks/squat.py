@@ -55,12 +55,11 @@ class Squat(PostureSwitch):
         return np.linspace(np.zeros(len(MOVED)), DOWN, self.places).T
 
     def reset(self, key: Key[Array, ""]) -> Body:
-        world = self.plant.start(*self._standing)
-        return Body(world, self._encoders(world, key), jnp.int32(0), jnp.bool_(False))
+        return super().reset(key)._replace(rising=jnp.bool_(False))
 
     def outcome(self, state: Body, world: World, key: Key[Array, ""]) -> tuple[Body, FloatScalar, BoolScalar]:
         fell = world.diverged | self.fallen(world)
-        world = self.plant.reset(world, fell, *self._standing)
+        world = self.plant.reset(world, fell, *self._start)
         down, upright = (self.near(world, self.grid[:, end]) for end in (-1, 0))
         done = ~fell & state.rising & upright
         reward = self.step_reward + jnp.where(fell, self.fall_reward, 0.0) + jnp.where(done, self.bonus, 0.0)
@@ -83,25 +82,16 @@ class Squat(PostureSwitch):
         upright = rotation_matrix(world.qpos[3:7])[2, 2]
         return (upright < np.cos(np.radians(FALLEN_TILT))) | (world.qpos[2] < FALLEN_HEIGHT * ROBOT.leg_length)
 
-    def near(self, world: World, place: Float[np.ndarray, "3"]) -> BoolScalar:
-        """True if both legs are in a posture and at rest."""
-        return super().near(self._legs(world), place)
-
     def whole_body(self, moved: Float[Array, "3"] | Float[np.ndarray, "3"]) -> Float[Array, "10"]:
         """The joints of both legs from the three of either that move, rad."""
         legs = jnp.zeros((2, len(JOINT_NAMES))).at[:, jnp.array(MOVED)].set(moved)
         return legs.reshape(-1)
 
     @property
-    def _standing(self) -> tuple[Float[Array, " nq"], Float[Array, " nv"]]:
-        """`qpos` and `qvel` of a body that stands upright."""
+    def _start(self) -> tuple[Float[Array, " nq"], Float[Array, " nv"]]:
         return jnp.asarray(self.simulator.qpos0, float), jnp.zeros(self.simulator.model.nv)
 
-    def _encoders(self, world: World, key: Key[Array, ""]) -> Float[Array, "3"]:
-        return super()._encoders(self._legs(world), key)
-
     def _legs(self, world: World) -> World:
-        """The world of the legs' joints alone."""
         qpos, qvel = self.simulator.joint_qpos, self.simulator.joint_dofs
         return world._replace(qpos=world.qpos[qpos], qvel=world.qvel[qvel])
 
