@@ -14,7 +14,6 @@ SAG_DEG, SAGGED_DEG = 10.0, 5.0
 LEAST_RATIO, RATIO = 0.1, 0.5
 """The same of damping ratios: below and instead."""
 
-
 MOST_FACTOR, SURE = 100.0, 1.6
 """Factor of the stiffness from which on no stiffness keeps a robot from tipping over, and the share above the least one
 that keeps it up although it sags; 1.3 does not do for G1 and T1."""
@@ -24,23 +23,20 @@ class Standing:
     """A robot that stands at home: its state, and the ground's vertical forces on its feet, as even as balances, N."""
 
     def __init__(self, robot: Robot):
-        self.model, (balls, _) = robot.model, ground_points(robot.model)
-        self.data, self.bodies = mujoco.MjData(self.model), self.model.geom_bodyid[balls]
+        self.model, (self.balls, _) = robot.model, ground_points(robot.model)
+        self.data = mujoco.MjData(self.model)
         self.data.qpos[self.model.jnt_qposadr[robot.driven]] = robot.posture
         mujoco.mj_forward(self.model, self.data)
-        self.home, places = self.data.qpos.copy(), self.data.geom_xpos[balls]
-        axes = self.data.xmat[self.bodies].reshape(-1, 3, 3)
-        self.points = np.einsum("bji,bj->bi", axes, places - self.data.xpos[self.bodies])
-        balance = np.vstack([np.ones(len(balls)), (places - self.data.subtree_com[0]).T[:2]])
+        self.home, places = self.data.qpos.copy(), self.data.geom_xpos[self.balls]
+        balance = np.vstack([np.ones(len(places)), (places - self.data.subtree_com[0]).T[:2]])
         weight = robot.mass * float(np.linalg.norm(self.model.opt.gravity))
         self.forces = np.linalg.lstsq(balance, np.array([weight, 0.0, 0.0]))[0]
 
     def jacobians(self) -> Float[np.ndarray, "points 3 nv"]:
         """Return the Jacobians of the points of the feet."""
-        found, data = np.empty((len(self.points), 3, self.model.nv)), self.data
-        for jacobian, body, point in zip(found, self.bodies.tolist(), self.points, strict=True):
-            place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
-            mujoco.mj_jac(self.model, data, jacobian, None, place, body)
+        found = np.empty((len(self.balls), 3, self.model.nv))
+        for jacobian, ball in zip(found, self.balls.tolist(), strict=True):
+            mujoco.mj_jacGeom(self.model, self.data, jacobian, None, ball)
         return found
 
     def load(self, change: Float[np.ndarray, " nv"] | None = None) -> Float[np.ndarray, " nv"]:
