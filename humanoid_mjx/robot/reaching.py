@@ -6,8 +6,9 @@ polynomials in the displacement of the foot fit these solutions. A foot of three
 turns about the vertical.
 """
 
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import combinations_with_replacement
+from operator import mul
 from typing import Any, NamedTuple
 
 import mujoco
@@ -25,15 +26,6 @@ DAMPING, LEVEL = 1e-3, 0.3
 """Weights, against the displacement by the legs' length, of a joint's way and of a tilt, by rad."""
 
 
-class Reach(NamedTuple):
-    """Places of the feet at home, and the joints for other places."""
-
-    place: Float[np.ndarray, "feet 2"]
-    """Forward and to the left of the torso, m."""
-    matrix: Float[np.ndarray, "terms joints"]
-    """Coefficients of the `monomials` of all feet, foot by foot, rad."""
-
-
 class _Leg(NamedTuple):
     joints: Int[np.ndarray, " of_leg"]
     axes: Float[np.ndarray, "of_leg 3"]
@@ -44,19 +36,13 @@ class _Leg(NamedTuple):
 
 def monomials(x: Any) -> list[Any]:
     """The monomials of degrees 1 to 3 of the entries of a sequence."""
-    terms = []
-    for degree in (1, 2, 3):
-        for factors in combinations_with_replacement(range(len(x)), degree):
-            term = x[factors[0]]
-            for factor in factors[1:]:
-                term = term * x[factor]
-            terms.append(term)
-    return terms
+    return [reduce(mul, factors) for degree in (1, 2, 3) for factors in combinations_with_replacement(x, degree)]
 
 
 @lru_cache
-def reach_of(robot: Robot) -> Reach:
-    """The reach of all feet of a robot."""
+def reach_of(robot: Robot) -> tuple[Float[np.ndarray, "feet 2"], Float[np.ndarray, "terms joints"]]:
+    """Return the places of the feet at home, forward and to the left of the torso, m; and the joints for other places,
+    as coefficients of the `monomials` of all feet, foot by foot, rad."""
     legs = [_leg(robot, foot) for foot in range(len(robot.feet))]
     blocks = []
     for leg in legs:
@@ -66,7 +52,7 @@ def reach_of(robot: Robot) -> Reach:
         block = np.zeros((terms.shape[1], len(robot.joints)))
         block[:, leg.joints] = np.linalg.lstsq(terms, _solve(robot, leg, wanted), rcond=None)[0]
         blocks.append(block)
-    return Reach(np.array([leg.foot[:2] for leg in legs]), np.concatenate(blocks))
+    return np.array([leg.foot[:2] for leg in legs]), np.concatenate(blocks)
 
 
 def _leg(robot: Robot, foot: int) -> _Leg:

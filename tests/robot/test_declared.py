@@ -88,7 +88,7 @@ def test_feet_go_where_the_polynomials_of_the_legs_bring_them(name):
     wanted = np.random.default_rng(1).uniform(region[:, 0], region[:, 1], (100, len(region)))
     terms = np.stack(monomials(wanted.T), axis=1)
     rows = slice(0, terms.shape[1])
-    miss = _miss(robot, leg, terms @ reach_of(robot).matrix[rows][:, leg.joints], wanted)
+    miss = _miss(robot, leg, terms @ reach_of(robot)[1][rows][:, leg.joints], wanted)
     best = _miss(robot, leg, _solve(robot, leg, wanted), wanted)
     assert np.quantile(np.abs(best[:, :3]), 0.9) < 0.01 and np.quantile(np.abs(miss[:, :3]), 0.9) < 0.02
 

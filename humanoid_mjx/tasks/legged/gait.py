@@ -114,8 +114,9 @@ class Steps(Gait):
         self, way: Float[Array, " feet"], phase: FloatScalar, command: Float[Array, "3"], robot: Robot
     ) -> Float[Array, " joints"]:
         """The motion of legs of any build, by their inverse kinematics."""
-        reach, length, bend = reach_of(robot), robot.leg_length, math.radians(robot.bend)
-        ahead, aside = reach.place.astype(np.float32).T
+        length, bend = robot.leg_length, math.radians(robot.bend)
+        place, matrix = (part.astype(np.float32) for part in reach_of(robot))
+        ahead, aside = place.T
         forward, left, turn = self.stride * command
         over = np.sign(aside[0]) * jnp.radians(self.sway) * jnp.sin(2 * jnp.pi * phase)
         swing = self.swing(phase, robot)
@@ -124,7 +125,7 @@ class Steps(Gait):
         parts = [way * (forward - turn * aside) / length, way * (left + turn * ahead) / length + over, lifted]
         parts += [way * turn] if robot.points > 2 else []
         terms = jnp.stack(monomials(parts), axis=-1).reshape(-1)
-        return jnp.dot(terms, reach.matrix.astype(np.float32), precision="highest")
+        return jnp.dot(terms, matrix, precision="highest")
 
 
 GAITS = {
