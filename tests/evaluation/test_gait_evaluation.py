@@ -153,6 +153,9 @@ def test_the_command(runs, tmp_path):
     assert [gait["scenario"] for gait in group["gaits"]] == 3 * [each.name for each in scenarios]
     assert [each.command[0] for each in scenarios[1:5]] == [0.15, 0.3, 0.5, 0.8]
     assert [len(gait["figures"]["success"]["seeds"]) for gait in group["gaits"][:: len(scenarios)]] == [2, 1, 1]
+    for name in ("success", "seconds"):
+        found = group["gaits"][1]["figures"][name]
+        assert found["worst"] == min(seed[0] for seed in found["seeds"])
     zero = group["gaits"][len(scenarios)]
     assert zero["agent"] == "zero" and zero["figures"]["success"]["median"] == 1.0
     assert zero["figures"]["duty"]["median"] == 1.0 and zero["figures"]["turn_success"]["median"] is None
