@@ -28,6 +28,9 @@ with redirect_stdout(io.StringIO()):  # mujoco.mjx prints two lines about warp
     from brax.training.agents.ppo.networks import make_ppo_networks
     from brax.training.types import Transition
 
+OF_LOSS = "entropy_cost", "discounting", "reward_scaling", "gae_lambda", "clipping_epsilon"
+"""Hyper-parameters of Brax's loss."""
+
 
 class Policy(NamedTuple):
     """Learned values."""
@@ -150,18 +153,8 @@ class BraxPPO(StepLearner):
         transform, networks = self._optimizer(), self._networks()
 
         def loss(weights: Any, batch: Any, key: Key[Array, ""]) -> FloatScalar:
-            return compute_ppo_loss(
-                weights,
-                known,
-                batch,
-                key,
-                ppo_network=networks,
-                entropy_cost=self.entropy_cost,
-                discounting=self.discounting,
-                reward_scaling=self.reward_scaling,
-                gae_lambda=self.gae_lambda,
-                clipping_epsilon=self.clipping_epsilon,
-            )[0]
+            options = {name: getattr(self, name) for name in OF_LOSS}
+            return compute_ppo_loss(weights, known, batch, key, ppo_network=networks, **options)[0]
 
         def step(inner: tuple[Any, Any], each: tuple[Array, Key[Array, ""]]) -> tuple[tuple[Any, Any], None]:
             rows, key = each
