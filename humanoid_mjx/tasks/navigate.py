@@ -79,14 +79,11 @@ class Navigate(FiniteTask):
 
 
 def next_cells(grid: tuple[str, ...]) -> Int[np.ndarray, " cells_times_actions"]:
-    height, width = len(grid), len(grid[0])
-    cells = np.empty((height, width, len(MOVES)), np.int32)
-    for row, column in np.ndindex(height, width):
-        for action, (down, right) in enumerate(MOVES):
-            r, c = row + down, column + right
-            free = 0 <= r < height and 0 <= c < width and grid[r][c] != "#"
-            cells[row, column, action] = r * width + c if free else row * width + column
-    return cells.reshape(-1)
+    free = np.array([list(line) for line in grid]) != "#"
+    (height, width), cells = free.shape, np.arange(free.size, dtype=np.int32).reshape(free.shape)
+    around = np.pad(np.where(free, cells, -1), 1, constant_values=-1)  # -1: an obstacle, or beyond the edge
+    moved = [around[1 + down :, 1 + right :][:height, :width] for down, right in MOVES]
+    return np.stack([np.where(place < 0, cells, place) for place in moved], axis=-1).reshape(-1)
 
 
 def shortest_path(grid: tuple[str, ...]) -> int | None:
