@@ -15,7 +15,8 @@ import numpy as np
 from PIL import Image, ImageSequence
 
 from humanoid_mjx import compute
-from humanoid_mjx.evaluation.episode import Film, begun, decided, robot_of, single
+from humanoid_mjx.evaluation.episode import begun, decided, robot_of, single
+from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.evaluation.gait.scenarios import TURN_GAIN, TURN_RATE, settings_of
 from humanoid_mjx.evaluation.gait.tally import heading_of, wrapped
 from humanoid_mjx.evaluation.policy import find_policy, in_world

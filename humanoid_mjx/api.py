@@ -372,7 +372,7 @@ def film(
     **look: Any,
 ) -> Picture:
     """Write a film as `play` does; `look` is the rate and the size of its pictures, as `render_film` takes them."""
-    from humanoid_mjx.evaluation.episode import show
+    from humanoid_mjx.evaluation.film import show
     from humanoid_mjx.report.rendering import render_film
 
     trained = _policy(what, point, physics, overrides)

@@ -16,7 +16,7 @@ from PIL import Image
 
 from humanoid_mjx.compute.provenance import PACKAGES
 from humanoid_mjx.config import dump_yaml
-from humanoid_mjx.evaluation.episode import driven_films, show
+from humanoid_mjx.evaluation.film import driven_films, show
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, on_native, on_plane
 from humanoid_mjx.evaluation.replay import why_stopped
 from humanoid_mjx.report.drawing import HEAT_MAPS

@@ -19,7 +19,7 @@ from matplotlib.font_manager import FontProperties, findfont
 from PIL import Image, ImageDraw, ImageFont
 
 from humanoid_mjx.compute import cores
-from humanoid_mjx.evaluation.episode import Film, Push
+from humanoid_mjx.evaluation.film import Film, Push
 from humanoid_mjx.files import refusing, whole_file
 from humanoid_mjx.report.raycast import Frame, Painter
 from humanoid_mjx.report.scene import Scene, make_camera, make_scene

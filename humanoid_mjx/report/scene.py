@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.evaluation.episode import Film
+from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.robot.description import two_digits
 from humanoid_mjx.types import AnyArray

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanoid_mjx.evaluation.episode import Film, motion_of, play
+from humanoid_mjx.evaluation.episode import motion_of, play
+from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.report.rendering import render_film
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, experiment, three_digits, unprinted

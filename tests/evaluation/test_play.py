@@ -11,7 +11,8 @@ from PIL import Image
 from small_sweep import SWITCHING
 
 from humanoid_mjx.compute import rng
-from humanoid_mjx.evaluation.episode import HOLD_S, film_of, motion_of, play, robot_of, rows_of, show
+from humanoid_mjx.evaluation.episode import HOLD_S, motion_of, play, robot_of, rows_of
+from humanoid_mjx.evaluation.film import film_of, show
 from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks import make_task

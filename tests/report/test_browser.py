@@ -9,7 +9,7 @@ from browser import CHROMIUM, browser
 from small_sweep import of_rows
 from test_page import HOSTILE
 
-from humanoid_mjx.evaluation.episode import Film, Push
+from humanoid_mjx.evaluation.film import Film, Push
 from humanoid_mjx.report.drawing import CURVES
 from humanoid_mjx.report.figures import curved
 from humanoid_mjx.report.page import _row

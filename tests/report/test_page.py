@@ -16,7 +16,7 @@ from small_sweep import CONFIG
 import humanoid_mjx
 from humanoid_mjx import compute
 from humanoid_mjx.config import dump_yaml
-from humanoid_mjx.evaluation.episode import Film
+from humanoid_mjx.evaluation.film import Film
 from humanoid_mjx.report.scene import film_data
 from humanoid_mjx.reproduction.findings import Setting
 from humanoid_mjx.robot import make_robot

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from humanoid_mjx.evaluation.episode import Film, Push, in_words, merged
+from humanoid_mjx.evaluation.film import Film, Push, in_words, merged
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.report import rendering
 from humanoid_mjx.report.raycast import GROUND, SHADOW, Painter

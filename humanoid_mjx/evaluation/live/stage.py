@@ -17,7 +17,7 @@ from jax.custom_batching import custom_vmap
 from jax.experimental import io_callback
 from jaxtyping import Float
 
-from humanoid_mjx.evaluation.episode import SHOWN_S
+from humanoid_mjx.evaluation.film import SHOWN_S
 from humanoid_mjx.physics.native import Native
 from humanoid_mjx.physics.unmodified import REST, Unmodified
 
