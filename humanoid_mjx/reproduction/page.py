@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from humanoid_mjx.report.web import MEDIA, anchor_of, facts, image, link, page, section, table, text
-from humanoid_mjx.reproduction.findings import FINDINGS, MEANINGS, as_text, load_experiments, read_findings, read_runs
+from humanoid_mjx.reproduction.findings import MEANINGS, as_text
+from humanoid_mjx.reproduction.runner import FINDINGS, load_experiments, read_findings, read_runs
 
 
 def findings_page(path: Path) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from humanoid_mjx.evaluation.live import Live
-from humanoid_mjx.evaluation.live.stage import Hands
+from humanoid_mjx.evaluation.live.body import Hands
 from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.report.live import _scales
 

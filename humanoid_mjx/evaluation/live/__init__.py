@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.evaluation.episode import begun, decided, own_data, robot_of, single, world_of
-from humanoid_mjx.evaluation.live.stage import Grab as Grab
+from humanoid_mjx.evaluation.live.body import Grab as Grab
 from humanoid_mjx.evaluation.live.stage import LiveMujoco, LiveUnmodified, Stage
 from humanoid_mjx.evaluation.policy import UNMODIFIED, StoredPolicy, in_world, on_plane
 from humanoid_mjx.evaluation.rest import AtRest, Posed
