@@ -119,7 +119,7 @@ class OnRay(Engine):
         """By the stream of its events: a worker, its name and its chunk."""
 
     def train(self, chosen: Sequence[Chunk], desk: Desk) -> None:
-        finished = desk.given(chosen).finished
+        finished = desk.given(chosen).finished  # a damaged state is refused before any worker trains
         waiting = deque(chunk for chunk in chosen if not finished.issuperset(chunk.runs))
         tries: Counter[int] = Counter()
         given_up: list[str] = []
