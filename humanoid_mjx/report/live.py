@@ -244,8 +244,8 @@ class Window:
             frame["shapes"] += poses(view.at(places), view.turn @ turns)
             frame["forces"] += [rounded([*view.at(at), *view.turn @ force]) for at, force in pressed.values()]
             joints = body.model.actuator_trnid[:, 0]
-            axes = zip(body.data.xanchor[joints], body.data.xaxis[joints], strict=True)
-            frame["axes"] += [rounded([*view.at(at), *view.turn @ axis]) for at, axis in axes]
+            axes = view.at(body.data.xanchor[joints]), body.data.xaxis[joints] @ view.turn.T
+            frame["axes"] += map(rounded, np.hstack(axes))
         return frame | {
             "time": round(live.stage.time, 3),
             "ground": rounded(views[0].ground(bodies[0].ground)),
