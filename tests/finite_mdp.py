@@ -7,9 +7,7 @@ import numpy as np
 
 from humanoid_mjx.compute import rng
 from humanoid_mjx.spec import traced
-from humanoid_mjx.tasks.finite import FiniteTask, Rules
-
-STANDARD = Rules()
+from humanoid_mjx.tasks.finite import FiniteTask
 
 
 class TableTask(FiniteTask):
@@ -21,7 +19,7 @@ class TableTask(FiniteTask):
     rows: Any = traced()
     num_rows: int
     actions: int
-    rules: Rules = Rules()
+    printed: bool = False
     success_rate: float = traced(1.0)
     max_episode_steps: int = traced(50)
 
@@ -34,8 +32,8 @@ class TableTask(FiniteTask):
         return self.actions
 
     @property
-    def learning_rules(self):
-        return self.rules
+    def as_printed(self):
+        return self.printed
 
     def reset(self, key):
         return jnp.int32(0)
@@ -52,7 +50,7 @@ class TableTask(FiniteTask):
         return self.success_rate
 
 
-def random_task(seed, states, actions, rows, rules=STANDARD, **kwargs):
+def random_task(seed, states, actions, rows, **kwargs):
     """Rewards are multiples of 1/4, so that ties occur and sums are exact. State 0 starts, the last is terminal."""
     draw = np.random.default_rng(seed)
     return TableTask(
@@ -62,7 +60,6 @@ def random_task(seed, states, actions, rows, rules=STANDARD, **kwargs):
         rows=jnp.asarray(draw.permutation(np.arange(states) % rows), jnp.int32),
         num_rows=rows,
         actions=actions,
-        rules=rules,
         **kwargs,
     )
 
@@ -75,16 +72,15 @@ def q_learning(learner, q_table, draws):
     f = np.float32
     q = np.array(q_table, f)
     task = learner.task
-    rules = task.learning_rules
 
     def choose(t, row, epsilon, episode):
         explore, choice, tie = draws[t]
         epsilon = max(f(learner.epsilon_min), epsilon)
-        if rules.episode == "step" and episode == learner.episodes - 1:
+        if task.printed and episode == learner.episodes - 1:
             epsilon = f(0)
         if explore < (f(1) - epsilon) * f(task.success_rate):
             best = [a for a in range(task.num_actions) if q[row, a] == q[row].max()]
-            return best[0] if rules.ties == "first" else best[int(f(tie) * f(len(best)))]
+            return best[0] if task.printed else best[int(f(tie) * f(len(best)))]
         return int(f(choice) * f(task.num_actions))
 
     state, epsilon, episode, length = 0, f(learner.epsilon), 0, 0
@@ -96,15 +92,15 @@ def q_learning(learner, q_table, draws):
         ended = bool(task.terminal[following])
         training = episode < learner.episodes
         value = q[int(task.rows[following])].max()
-        if ended and not rules.bootstrap_at_end:
+        if ended and not task.printed:
             value = f(0)
         target = reward + f(learner.discount) * value
-        if training and (rules.update == "every" or ended):
+        if training and (ended or not task.printed):
             q[row, action] += f(learner.learning_rate) * (target - q[row, action])
         learned = row, action
         length += 1
         over = ended or length >= task.max_episode_steps
-        if rules.episode == "step":
+        if task.printed:
             if training:
                 episode, epsilon, length = episode + 1, epsilon * f(learner.epsilon_decay), 0
             if ended:

@@ -20,7 +20,6 @@ from humanoid_mjx.evaluation.policy import with_config
 from humanoid_mjx.learners.rollout import greedy
 from humanoid_mjx.learners.rollout import rollout as rollout_of_states
 from humanoid_mjx.runs.tables import finished_runs
-from humanoid_mjx.tasks.finite import Rules
 from humanoid_mjx.training.plan import build
 from humanoid_mjx.training.program import run_key
 from humanoid_mjx.training.state import to_arrays
@@ -28,9 +27,7 @@ from humanoid_mjx.training.state import to_arrays
 ROOT = Path(__file__).parent.parent
 TASK = make_task("joint_reach", joint=4, states=8, max_episode_steps=50)
 TABLE = make_learner("tabular_q", TASK, episodes=60, record=10)
-EXACT = make_learner(
-    "tabular_q", random_task(0, 8, 2, 8, Rules()), episodes=60, record=10, learning_rate=1.0, discount=0.5
-)
+EXACT = make_learner("tabular_q", random_task(0, 8, 2, 8), episodes=60, record=10, learning_rate=1.0, discount=0.5)
 """Its values are binary fractions, which few programs round."""
 
 

@@ -2,7 +2,7 @@
 
     td_target = reward + discount * max_a' Q(s', a'),   Q(s, a) += learning_rate * (td_target - Q(s, a))
 
-with no value beyond a terminal state. A task may change this by its `Rules`, as the pseudo-code of section 6.3 does.
+with no value beyond a terminal state. The pseudo-code of section 6.3 differs (`FiniteTask.as_printed`).
 The other methods are those of R. Sutton and A. Barto, "Reinforcement Learning" (2018): Sarsa (section 6.4), expected
 Sarsa (6.6), double Q-learning (6.7), n-step Sarsa (7.2) and Watkins's Q(lambda) with replacing traces (12.10).
 
@@ -29,7 +29,7 @@ from humanoid_mjx.learners.base import Learner, Outcome
 from humanoid_mjx.learners.exploration import QRow, check_read, drawn, entry, softmax, upper_bounds
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State
-from humanoid_mjx.tasks.finite import FiniteTask, Rules
+from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 QTable = Float[Array, "num_states num_actions"]
@@ -151,7 +151,7 @@ class TabularQ(Learner):
         check_read(self, READ_WITH)
         if self.start_from and (own := [key for key in ("initial_value", "initial_spread") if getattr(self, key)]):
             raise ValueError(f"{own[0]} is not read with start_from, which brings tables; leave one of them out")
-        if self.task.learning_rules != Rules() and (self.method, self.exploration) != ("q_learning", "epsilon_greedy"):
+        if self.task.as_printed and (self.method, self.exploration) != ("q_learning", "epsilon_greedy"):
             raise ValueError(
                 "a task with rules of its own takes method q_learning and exploration epsilon_greedy alone"
             )
@@ -163,7 +163,7 @@ class TabularQ(Learner):
     @property
     def cumulative(self) -> bool:
         """True where an episode is a step of the only trajectory: curves are its totals so far."""
-        return self.task.learning_rules.episode == "step"
+        return self.task.as_printed
 
     @property
     def counts(self) -> bool:
@@ -242,9 +242,8 @@ class TabularQ(Learner):
 
     def learn(self, agent: Agent, next_q_row: QRow) -> tuple[Update, Outcome]:
         """Return the update by the move under way, and the record if it ended an episode. After training: nothing."""
-        rules = self.task.learning_rules
         value = self._next_value(agent, next_q_row)
-        if not rules.bootstrap_at_end:
+        if not self.task.as_printed:
             value = jnp.where(agent.terminated, 0.0, value)
         column = agent.action
         if agent.coin is not None:
@@ -252,7 +251,7 @@ class TabularQ(Learner):
         old = entry(agent.q_row[: self.columns], column)
         td_target = agent.reward + self.discount * value
         learns = agent.episode < self.episodes
-        if rules.update == "terminal":
+        if self.task.as_printed:
             learns &= agent.terminated
         if agent.past is not None:
             learns, td_target = learns & agent.past.due, value
@@ -270,7 +269,7 @@ class TabularQ(Learner):
         over, ends = self._ended(agent)
         fresh = self.task.reset(jax.random.fold_in(agent.key, step))
         episode, past = agent.episode + ends, agent.past
-        if self.task.learning_rules.episode == "step":
+        if self.task.as_printed:
             episode = jnp.where(agent.terminated, self.episodes, episode)
         if past is not None:
             past = past._replace(count=past.count - past.due)
@@ -333,7 +332,7 @@ class TabularQ(Learner):
         if self.exploration != "epsilon_greedy":
             return self.task.execution_rate
         obeys = (1.0 - self._amount(agent, q_row)) * self.task.execution_rate
-        if self.task.learning_rules.episode == "step":
+        if self.task.as_printed:
             obeys = jnp.where(agent.episode == self.episodes - 1, self.task.execution_rate, obeys)
         return obeys
 
@@ -395,7 +394,7 @@ class TabularQ(Learner):
         if agent.past is not None:
             over &= ~agent.past.waits
         training = agent.episode < self.episodes
-        return over, training if self.task.learning_rules.episode == "step" else training & over
+        return over, training if self.task.as_printed else training & over
 
     def _by_action(self, q_row: QRow) -> QRow:
         """The sums over the columns of each action, of which `double_q` has two."""
@@ -410,7 +409,7 @@ class TabularQ(Learner):
         """The best action; `tie` in [0, 1) chooses among equally good ones."""
         top = reduce(jnp.maximum, q_row)
         best = [(q == top).astype(jnp.float32) for q in q_row]
-        skip = 0.0 if self.task.learning_rules.ties == "first" else jnp.floor(tie * sum(best))
+        skip = 0.0 if self.task.as_printed else jnp.floor(tie * sum(best))
         action, passed = jnp.int32(0), jnp.float32(0)
         for index, is_best in enumerate(best):
             action = jnp.where((is_best > 0) & (passed == skip), index, action)

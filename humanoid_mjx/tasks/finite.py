@@ -1,6 +1,6 @@
 """The protocol of finite tasks: Markov decision processes that a learner sees through the rows of a table."""
 
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
@@ -8,20 +8,6 @@ from jaxtyping import Array, Float, Key
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
-
-
-class Rules(NamedTuple):
-    """Rules by which a tabular learner treats a task. The defaults are the Q-learning of section 6.2 of the thesis."""
-
-    update: Literal["every", "terminal"] = "every"
-    """The transitions that write to the table: every one, or only the one that reaches the end."""
-    bootstrap_at_end: bool = False
-    """True if the value of a terminal state's row enters the target."""
-    ties: Literal["random", "first"] = "random"
-    """Rule by which the greedy choice breaks ties."""
-    episode: Literal["restart", "step"] = "restart"
-    """Meaning of an episode: a trajectory, after which the next starts anew; or one step of the only trajectory,
-    which stops at the end state and whose last step is greedy."""
 
 
 class FiniteTask(Task):
@@ -39,8 +25,14 @@ class FiniteTask(Task):
         raise NotImplementedError
 
     @property
-    def learning_rules(self) -> Rules:
-        return Rules()
+    def as_printed(self) -> bool:
+        """True if a table learns by the pseudo-code of section 6.3 to the letter, False for the Q-learning of 6.2.
+
+        By the pseudo-code only the transition that reaches the end writes to the table, and the value of the end's own
+        row enters its target; the first of equally good actions is the greedy one; and an episode is one step of the
+        only trajectory, which stops at the end and whose last step is greedy.
+        """
+        return False
 
     def reset(self, key: Key[Array, ""]) -> Any:
         """The state at the start of an episode: any pytree; a row of the table unless `state_index` is overridden."""

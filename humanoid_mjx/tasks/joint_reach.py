@@ -9,12 +9,9 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.spec import traced
-from humanoid_mjx.tasks.finite import FiniteTask, Rules
+from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.thesis import q_learning as thesis
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
-
-PRINTED = Rules(update="terminal", bootstrap_at_end=True, ties="first", episode="step")
-"""The pseudo-code of section 6.3 to the letter."""
 
 
 class JointReach(FiniteTask):
@@ -73,8 +70,8 @@ class JointReach(FiniteTask):
         return self.states
 
     @property
-    def learning_rules(self) -> Rules:
-        return PRINTED if self.rules == "printed" else Rules()
+    def as_printed(self) -> bool:
+        return self.rules == "printed"
 
     def reset(self, key: Key[Array, ""]) -> IntScalar:
         """The number of moves made: none."""
