@@ -6,6 +6,7 @@ weights towards them. Where a task has several joints Q is the mean of a value f
 "Solving Continuous Control via Q-Learning", 2023), so that the best action is the best choice of every joint.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -46,26 +47,16 @@ class Carry(NamedTuple):
     update: IntScalar
 
 
-class Experience(NamedTuple):
-    """Transitions of one update; every array leads with (steps, envs)."""
+class Batch(NamedTuple):
+    """Samples to learn from; every array leads with a batch axis, or with (steps, envs)."""
 
-    obs: Float[Array, "steps envs observation_size"]
-    action: Int[Array, "steps envs joints"]
-    reward: Float[Array, "steps envs"]
-    terminated: Bool[Array, "steps envs"]
-    truncated: Bool[Array, "steps envs"]
-    final_obs: Float[Array, "steps envs observation_size"]
-    amount: Float[Array, "steps envs"]
-    """Epsilon, or the temperature."""
+    obs: Float[Array, "*batch observation_size"]
+    action: Int[Array, "*batch joints"]
+    target: Float[Array, "*batch"]
 
 
 RETIRED = {"action_repeat": 1, "basis": "tiles", "coarse_to_fine": False}
 """Keys of earlier versions, with the only value that they may still have: stored configs hold them."""
-
-READ_WITH = {
-    "exploration": {"epsilon": "epsilon_greedy", "epsilon_spread": "epsilon_greedy", "temperature": "boltzmann"}
-}
-"""Keys that are read with one word of another key alone."""
 
 LEAST_SHARE = 64
 """Least number of environments of a device that shares a run: the loops of `physics: tree` take so many at once."""
@@ -75,6 +66,9 @@ class ApproximateQ(StepLearner):
     """Base of learners that approximate Q. A derived class gives the approximation and how it learns."""
 
     program: ClassVar[Program] = "approximate"
+    read_with: ClassVar[Mapping[str, Mapping[str, str]]] = {
+        "exploration": {"epsilon": "epsilon_greedy", "epsilon_spread": "epsilon_greedy", "temperature": "boltzmann"}
+    }
     task: FiniteTask | ContinuousTask = Field(exclude=True, repr=False)
     method: Literal["q_learning", "expected_sarsa"] = Field(
         "q_learning", description="value of the next state: the largest, or the mean over the actions as it explores"
@@ -106,11 +100,6 @@ class ApproximateQ(StepLearner):
     def _without_retired_keys(cls, data: Any) -> Any:
         return {key: x for key, x in data.items() if RETIRED.get(key, ...) != x} if isinstance(data, dict) else data
 
-    @model_validator(mode="after")
-    def _keys_must_be_read(self) -> "ApproximateQ":
-        exploration.check_read(self, READ_WITH)
-        return self
-
     def can_share(self, devices: int) -> bool:
         fits = self.envs % devices == 0 and self.envs // devices >= LEAST_SHARE
         return devices == 1 or (self.task.arithmetic == "tree" and fits)
@@ -128,7 +117,7 @@ class ApproximateQ(StepLearner):
         raise NotImplementedError
 
     def learn(
-        self, rate: FloatScalar, value: Any, optimizer: Any, batch: "Batch", key: Key[Array, ""]
+        self, rate: FloatScalar, value: Any, optimizer: Any, batch: Batch, key: Key[Array, ""]
     ) -> tuple[Any, Any, FloatScalar]:
         """Move the weights towards the targets: new weights, optimizer state, and the mean squared TD error."""
         raise NotImplementedError
@@ -197,26 +186,25 @@ class ApproximateQ(StepLearner):
         q = self.q_values(policy.value, self.preprocess(policy, observation))
         return exploration.greedy(q, self.allowed, key)
 
-    def _act(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, "Batch", dict[str, FloatScalar]]:
-        """`_collect`, and the targets of the experience. Devices that share the environments act in one part each; all
-        learn from the whole experience."""
+    def _act(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Batch, dict[str, FloatScalar]]:
+        """`_collect`; devices that share the environments act in one part each, and all get the whole experience."""
         if self.devices == 1:
-            envs, experience, totals = self._collect(carry, key)
-            return envs, Batch(experience.obs, experience.action, self._td_targets(carry.weights, experience)), totals
+            return self._collect(carry, key)
         index, size = jax.lax.axis_index(ENVS), self.envs // self.devices
         part = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, index * size, size), carry.envs)
         key = jax.random.fold_in(key, index)
-        envs, seen, totals = self.replace(devices=1)._act(carry._replace(envs=part), key)
+        envs, seen, totals = self._collect(carry._replace(envs=part), key)
         by_env = jax.tree.map(partial(jnp.swapaxes, axis1=0, axis2=1), seen)
         sums = jax.tree.map(lambda x: jnp.broadcast_to(x, (size,)), totals)
         envs, by_env, sums = of_all_devices((envs, by_env, sums), ENVS)
         seen = jax.tree.map(partial(jnp.swapaxes, axis1=0, axis2=1), by_env)
         return envs, seen, jax.tree.map(lambda x: x[::size].sum(), sums)
 
-    def _collect(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Experience, dict[str, FloatScalar]]:
-        """Act for `rollout` steps: the environments after them, the experience, and sums over the ended episodes."""
+    def _collect(self, carry: Carry, key: Key[Array, ""]) -> tuple[Envs, Batch, dict[str, FloatScalar]]:
+        """Act for `rollout` steps: the environments after them, the experience with its targets, (steps, envs), and
+        sums over the ended episodes."""
 
-        def step(envs: Envs, key: Key[Array, ""]) -> tuple[Envs, tuple[Experience, dict[str, FloatScalar]]]:
+        def step(envs: Envs, key: Key[Array, ""]) -> tuple[Envs, Any]:
             greedy_key, explore_key, step_key, reset_key = jax.random.split(key, 4)
             obs = envs.state.obs
             q = self.q_values(carry.weights.value, self.preprocess(carry.weights, obs))
@@ -224,27 +212,18 @@ class ApproximateQ(StepLearner):
             action = self.choose(q, amount, greedy_key, explore_key)
             envs, state, sums = step_all(self.env, envs, action, step_key, reset_key)
             executed = action if state.executed is None else state.executed
-            seen = Experience(obs, executed, state.reward, state.terminated, state.truncated, state.final_obs, amount)
-            return envs, (seen, sums)
+            moved = state.reward, state.terminated, state.truncated
+            return envs, (obs, executed, moved, state.final_obs, amount, sums)
 
-        envs, (experience, sums) = jax.lax.scan(step, carry.envs, jax.random.split(key, self.rollout))
-        return envs, experience, {name: x.sum() for name, x in sums.items()}
-
-    def _td_targets(self, weights: Weights, experience: Experience) -> Float[Array, "steps envs"]:
-        q = self.q_values(weights.value, self.preprocess(weights, experience.final_obs))
+        envs, seen = jax.lax.scan(step, carry.envs, jax.random.split(key, self.rollout))
+        obs, action, (reward, terminated, truncated), final_obs, amount, sums = seen
+        totals = {name: x.sum() for name, x in sums.items()}
+        q = self.q_values(carry.weights.value, self.preprocess(carry.weights, final_obs))
         by_joint = jnp.where(self.allowed, q, -jnp.inf).max(axis=-1)
         if self.method == "expected_sarsa":
-            by_joint = (exploration.chances(self, q, experience.amount) * jnp.where(self.allowed, q, 0.0)).sum(axis=-1)
-        ends = experience.terminated, experience.truncated
-        return lambda_targets(experience.reward, *ends, by_joint.mean(axis=-1), self.discount, self.trace_decay)
-
-
-class Batch(NamedTuple):
-    """Samples to learn from; every array leads with a batch axis."""
-
-    obs: Float[Array, "batch observation_size"]
-    action: Int[Array, "batch joints"]
-    target: Float[Array, " batch"]
+            by_joint = (exploration.chances(self, q, amount) * jnp.where(self.allowed, q, 0.0)).sum(axis=-1)
+        targets = lambda_targets(reward, terminated, truncated, by_joint.mean(axis=-1), self.discount, self.trace_decay)
+        return envs, Batch(obs, action, targets), totals
 
 
 def chosen(q: Float[Array, "*batch joints bins"], action: Int[Array, "*batch joints"]) -> Float[Array, "*batch"]:

@@ -4,11 +4,12 @@
 every learner.
 """
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Key
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from humanoid_mjx.compute import Program
 from humanoid_mjx.spec import Spec, traced
@@ -49,6 +50,9 @@ class Learner(Spec):
     program: ClassVar[Program] = "other"
     """Kind of the programs that train and evaluate, which chooses XLA's options (`compute.options`)."""
 
+    read_with: ClassVar[Mapping[str, Mapping[str, str]]] = {}
+    """Keys that are read with one word of another key alone: `{other key: {key: word}}`."""
+
     task: Task = Field(exclude=True, repr=False)
     record: int = Field(100, ge=1, le=10_000, exclude=True, description="points of a learning curve")
     start_from: str | None = Field(None, description="a run folder whose policies to start from")
@@ -57,6 +61,17 @@ class Learner(Spec):
 
     devices: int = Field(1, ge=1, le=1, exclude=True, repr=False)
     """Devices that share the environments, along the axis `ENVS`: set by training, in no config."""
+
+    @model_validator(mode="after")
+    def _keys_must_be_read(self) -> "Learner":
+        fields = type(self).model_fields
+        for other, keys in self.read_with.items():
+            mine = getattr(self, other)
+            for key, word in keys.items():
+                if mine != word and getattr(self, key) != fields[key].default:
+                    needed = f"set learner.{other}={word}"
+                    raise ValueError(f"{key} is not read with {other} {mine}; leave it out, or {needed}")
+        return self
 
     def can_share(self, devices: int) -> bool:
         """Return whether so many devices may share the environments of a run."""

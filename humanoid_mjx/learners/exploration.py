@@ -1,7 +1,6 @@
 """Exploring: epsilon and temperature with the thesis's decay and a spread over environments, choices of joints and in a
 table's row."""
 
-from collections.abc import Mapping
 from functools import reduce
 from typing import Any
 
@@ -16,20 +15,6 @@ QRow = tuple[FloatScalar, ...]
 """The values of one row of a table."""
 
 LEAST, MOST = (float(getattr(np.finfo(np.float32), name)) for name in ("tiny", "max"))
-
-
-def check_read(learner: Any, read_with: Mapping[str, Mapping[str, str]]) -> None:
-    """Check that keys which are read with one word of another key alone, `read_with[key]`, have that word or their
-    default.
-
-    Raises:
-      ValueError: a key would not be read.
-    """
-    for word, keys in read_with.items():
-        mine, fields = getattr(learner, word), type(learner).model_fields
-        if odd := [key for key in keys if getattr(learner, key) != fields[key].default and mine != keys[key]]:
-            needed = f"set learner.{word}={keys[odd[0]]}"
-            raise ValueError(f"{odd[0]} is not read with {word} {mine}; leave it out, or {needed}")
 
 
 def amounts(schedule: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:

@@ -13,6 +13,7 @@ A step first learns from the move that each agent has under way, then makes the 
 at two places and written at one, and XLA's CPU compiler keeps the arithmetic between them in fast loops.
 """
 
+from collections.abc import Mapping
 from functools import reduce
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -26,7 +27,7 @@ from humanoid_mjx.compute import Program
 from humanoid_mjx.compute.indexing import add_at
 from humanoid_mjx.compute.rng import uniform
 from humanoid_mjx.learners.base import Learner, Outcome
-from humanoid_mjx.learners.exploration import QRow, check_read, drawn, entry, softmax, upper_bounds
+from humanoid_mjx.learners.exploration import QRow, drawn, entry, softmax, upper_bounds
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import State
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -39,13 +40,6 @@ MOST_STEPS = 16
 
 LAST = np.uint32(2**32 - 1)
 """Number of the random key that draws the first table; the numbers of steps count up from 0."""
-
-READ_WITH = {
-    "method": {"steps": "n_step", "trace_decay": "q_lambda"},
-    "exploration": {"epsilon": "epsilon_greedy", "temperature": "boltzmann", "confidence": "ucb"},
-    "step_size": {"learning_rate": "constant"},
-}
-"""Keys that are read with one word of another key alone."""
 
 
 class Past(NamedTuple):
@@ -117,6 +111,12 @@ class TabularQ(Learner):
     lap: ClassVar[int] = 32
     """On a GPU a loop of known length runs without a test on the host after each step."""
 
+    read_with: ClassVar[Mapping[str, Mapping[str, str]]] = {
+        "method": {"steps": "n_step", "trace_decay": "q_lambda"},
+        "exploration": {"epsilon": "epsilon_greedy", "temperature": "boltzmann", "confidence": "ucb"},
+        "step_size": {"learning_rate": "constant"},
+    }
+
     task: FiniteTask = Field(exclude=True, repr=False)
     episodes: int = traced(1000, ge=1, le=1_000_000_000, exclude=True, description="episodes to train for")
     method: Literal["q_learning", "sarsa", "expected_sarsa", "double_q", "n_step", "q_lambda"] = Field(
@@ -147,8 +147,7 @@ class TabularQ(Learner):
     agents: int = Field(1, ge=1, le=1_000_000, description="episodes at once that feed one table")
 
     @model_validator(mode="after")
-    def _keys_must_be_read(self) -> "TabularQ":
-        check_read(self, READ_WITH)
+    def _keys_must_fit_together(self) -> "TabularQ":
         if self.start_from and (own := [key for key in ("initial_value", "initial_spread") if getattr(self, key)]):
             raise ValueError(f"{own[0]} is not read with start_from, which brings tables; leave one of them out")
         if self.task.as_printed and (self.method, self.exploration) != ("q_learning", "epsilon_greedy"):
@@ -189,9 +188,8 @@ class TabularQ(Learner):
             row, zero, nothing = self.task.state_index(state), jnp.int32(0), jnp.float32(0)
             epsilon = jnp.asarray(amounts.get(self.exploration, self.epsilon), jnp.float32)
             ahead = zero if self.method in ("sarsa", "n_step") else None
-            no, past, q_row = jnp.bool_(False), None, _row(q_table, row)
-            if self.method == "n_step":
-                past = Past(((zero, zero, nothing),) * MOST_STEPS, zero, no, no)
+            no, q_row = jnp.bool_(False), _row(q_table, row)
+            past = Past(((zero, zero, nothing),) * MOST_STEPS, zero, no, no) if self.method == "n_step" else None
             moved = row, nothing, no, ahead, None, past
             return self.move(Agent(key, epsilon, zero, zero, nothing, row, q_row, zero, state, *moved), q_row, step)
 
