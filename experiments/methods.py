@@ -59,10 +59,9 @@ def proof() -> list[dict[str, Any]]:
 def numbers_of(key: Any, decisions: int) -> Any:
     """The uniform numbers of an agent's decisions, and of those that end its last episode: (decisions + 17, 4)."""
 
-    def each(step: Any) -> Any:
-        return jnp.stack([*rng.uniforms(key, step, 3), rng.uniform(key, ~step.astype(jnp.uint32))])
-
-    return jax.vmap(each)(jnp.arange(decisions + 17))
+    steps = jnp.arange(decisions + 17, dtype=jnp.uint32)
+    coins = jax.vmap(rng.uniform, in_axes=(None, 0))(key, ~steps)
+    return jnp.column_stack([jax.random.uniform(key, (3 * len(steps),)).reshape(-1, 3), coins])
 
 
 def process_of(task: Any) -> tuple[np.ndarray, ...]:

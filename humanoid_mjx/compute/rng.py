@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.random import define_prng_impl
-from jaxtyping import Array, Float, Int32, Key, UInt32
+from jaxtyping import Array, Float, Key, UInt32
 
 from humanoid_mjx.spec import InputError, shown
 
@@ -85,11 +85,3 @@ def uniform(key: Key[Array, ""], number: UInt32[Array, ""]) -> Float[Array, ""]:
     generator. Scalars compile to fewer and faster loops than an array."""
     word = _words(jax.random.key_data(key), number, _DRAW)
     return jax.lax.bitcast_convert_type((word >> 9) | np.uint32(0x3F800000), jnp.float32) - 1.0
-
-
-def uniforms(
-    key: Key[Array, ""], step: UInt32[Array, ""] | Int32[Array, ""], count: int
-) -> tuple[Float[Array, ""], ...]:
-    """`count` of these numbers for one step: `jax.random.uniform(key, (count * steps,))[count * step:][:count]`."""
-    first = jnp.asarray(step).astype(jnp.uint32) * np.uint32(count)
-    return tuple(uniform(key, first + np.uint32(i)) for i in range(count))

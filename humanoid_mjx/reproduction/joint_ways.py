@@ -42,7 +42,7 @@ def printed_run(joint: int, config: dict[str, Any], runs: int, steps: int) -> Tr
 
     def one(learner: Any, key: Any) -> Any:
         def step(carry: Any, _: None) -> Any:
-            explore = rng.uniforms(key, carry.step, 3)[0]
+            explore = rng.uniform(key, 3 * carry.step.astype("uint32"))
             seen = carry.agents.terminated, carry.agents.state, explore
             return learner.train_step(carry)[0], seen
 
