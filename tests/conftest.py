@@ -123,4 +123,4 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    compute.look_for_garbage_seldom()
+    compute.settings.look_for_garbage_seldom()

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
-from humanoid_mjx.compute import check_settings
+from humanoid_mjx.compute.settings import check_settings
 from humanoid_mjx.learners.base import Learner
 from humanoid_mjx.spec import InputError, find, make, shown
 from humanoid_mjx.tasks import name_of

@@ -17,7 +17,8 @@ from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from humanoid_mjx import compute
+from humanoid_mjx.compute.compiles import timing_compiles
+from humanoid_mjx.compute.limits import out_of_memory, reserve_memory
 from humanoid_mjx.runs.folder import damaged
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.cost import runs_at_once, training_bytes
@@ -225,10 +226,10 @@ class Work:
 
     def _run(self) -> None:
         try:
-            with compute.timing_compiles() as compiles:
+            with timing_compiles() as compiles:
                 self._train()
             if not self.left:
-                self._events.put(Ended(self.key, compiles.seconds))
+                self._events.put(Ended(self.key, compiles()))
         except BaseException as error:
             self._events.put(error)
 
@@ -242,7 +243,7 @@ class Work:
             try:
                 self._side_by_side(size)
             except Exception as error:
-                if not compute.out_of_memory(error):
+                if not out_of_memory(error):
                     raise
                 if size <= 1:
                     raise InputError(
@@ -307,7 +308,7 @@ class Here(Engine):
           InputError: the memory does not suffice, or there are no policies to start from.
         """
         self.plan, self.pool_size = plan, pool_size
-        compute.reserve_memory()
+        reserve_memory()
         chosen = {index: plan.groups[index] for index in (range(len(plan.groups)) if groups is None else groups)}
         self.rooms = {index: runs_at_once(group, pool_size, plan.width(group)) for index, group in chosen.items()}
         self.policies = {index: earlier_policies(group) for index, group in chosen.items()}
