@@ -2,7 +2,7 @@
 
 body          the robot in a physics under a control law, and the values of its world
 view          what observations, rewards and terminations are functions of
-observations  named numbers, from which size, scale, bounds and mirror image follow
+observations  named numbers, from which size, scale and mirror image follow
 rewards       named terms, and the Specs that hold their weights
 terminations  conditions that end an episode early: a fall
 commands      commanded velocities, turn rates and sudden turns

@@ -33,8 +33,6 @@ class Observation(NamedTuple):
     """The value that the learner sees as 1: one number, one for each, or a function of the robot."""
     mirror: tuple[float, ...] | None = None
     """The image in the plane of symmetry: the sign of each number; those of joints and feet change sides."""
-    bounds: tuple[float, float] = (-1.0, 1.0)
-    """Bounds in this scale, beyond which a basis may saturate."""
 
 
 OBSERVATIONS = {
@@ -88,8 +86,6 @@ class Observed:
         self.scales = [np.asarray(scale, np.float32) for scale in scales]
         self.mirror_order = np.concatenate([start + rows for start, (rows, _) in zip(ends, images, strict=False)])
         self.mirror_signs = np.concatenate([signs for _, signs in images]).astype(np.float32)
-        low, high = np.array([part.bounds for part in self.parts]).T
-        self.bounds = np.repeat(low, sizes), np.repeat(high, sizes)
 
     def __call__(self, view: View) -> Float[Array, " observation_size"]:
         """The numbers, in their scales, cut off at `FARTHEST`."""

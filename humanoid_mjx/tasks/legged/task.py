@@ -83,11 +83,6 @@ class LeggedTask(LeggedBody):
     def observation_size(self) -> int:
         return self.history * self.observed.size
 
-    @property
-    def observation_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        low, high = self.observed.bounds
-        return np.tile(low, self.history), np.tile(high, self.history)
-
     def reset(self, key: Key[Array, ""]) -> State:
         *start_keys, push_key, sensor_key = jax.random.split(key, 5)
         command_key, phase_key, plant_key = jax.random.split(jax.random.fold_in(key, 1), 3)
