@@ -52,7 +52,7 @@ def native_model(robot: str) -> Any:
     """Return MuJoCo's model of a robot with the servo of `stand` as its own, its solver run to convergence."""
     task: Any = make_task("stand", robot=robot, physics="mujoco")
     servo = task.control.of(task.robot)
-    gains = np.broadcast_arrays(servo.stiffness, servo.damping, np.zeros(len(task.posture)))[:2]
+    gains = np.broadcast_arrays(servo.stiffness, servo.damping, np.zeros(len(task.robot.posture)))[:2]
     return with_servo(task.simulator.model, np.stack(gains, axis=-1))
 
 

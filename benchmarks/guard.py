@@ -193,7 +193,7 @@ def training() -> Pair:
         carry, _ = update(carry)
     world = carry.envs.state.data.world
     qpos, qvel = (np.asarray(part, np.float64) for part in (world.qpos, world.qvel))
-    setpoint = task.posture + np.random.default_rng(1).uniform(-0.2, 0.2, (len(qpos), qvel.shape[1] - 6))
+    setpoint = task.robot.posture + np.random.default_rng(1).uniform(-0.2, 0.2, (len(qpos), qvel.shape[1] - 6))
     steps = learner.rollout * task.simulator.substeps(task.period)
     return _warm(Pair(partial(update, carry), opponents.native((qpos, qvel, setpoint), time_steps), steps / time_steps))
 

@@ -69,7 +69,7 @@ class Stuck(Walk):
         self, offsets: Float[Array, " joints"], reference: Float[Array, " joints"] | float = 0.0
     ) -> Float[Array, " joints"]:
         held = np.array([joint == JOINT for joint in self.robot.joints])
-        return jnp.where(held, self.posture, super().setpoint(offsets, reference))
+        return jnp.where(held, self.robot.posture, super().setpoint(offsets, reference))
 
 
 class Weak(Drive):

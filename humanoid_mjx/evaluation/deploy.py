@@ -129,9 +129,9 @@ def _robot(task: LeggedTask) -> dict[str, Any]:
     points = np.array(robot.point_sensors).reshape(len(robot.feet), -1).tolist()
     return {
         "joints": list(robot.joints),
-        "default_pose": _plain(task.posture),
+        "default_pose": _plain(task.robot.posture),
         "joint_ranges": _plain(robot.ranges_rad),
-        "action_scale": _plain(task.setpoint(jnp.ones(count)) - task.posture),
+        "action_scale": _plain(task.setpoint(jnp.ones(count)) - task.robot.posture),
         "smoothing": float(task.smoothing),
         "control": task.control.name,
         **{name: _plain(np.broadcast_to(np.asarray(gain), count)) for name, gain in gains.items()},

@@ -48,14 +48,15 @@ class Posed(Stand):
     @property
     def home(self) -> dict[str, float]:
         """Set-points of the joints in the robot's posture, degrees."""
-        return dict(zip(self.robot.joints, np.degrees(self.posture).tolist(), strict=True))
+        return dict(zip(self.robot.joints, np.degrees(self.robot.posture).tolist(), strict=True))
 
     @property
     def told_ranges(self) -> dict[str, tuple[float, float]]:
         """The joints' ranges, degrees; those without one turn half round from home."""
-        limited, free = self.robot.model.jnt_limited[self.robot.driven, None], self.posture[:, None] + [-np.pi, np.pi]
-        lows, highs = np.degrees(np.where(limited, self.robot.ranges_rad, free)).T.tolist()
-        return dict(zip(self.robot.joints, zip(lows, highs, strict=True), strict=True))
+        robot, half = self.robot, [-np.pi, np.pi]
+        limited, free = robot.model.jnt_limited[robot.driven, None], robot.posture[:, None] + half
+        lows, highs = np.degrees(np.where(limited, robot.ranges_rad, free)).T.tolist()
+        return dict(zip(robot.joints, zip(lows, highs, strict=True), strict=True))
 
     def steered(self, data: Episode, told: dict[str, FloatScalar]) -> Episode:
         away = jnp.stack([told[name] - home for name, home in self.home.items()]) / self.action_scale

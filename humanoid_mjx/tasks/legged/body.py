@@ -95,11 +95,6 @@ class LeggedBody(ContinuousTask):
         return self
 
     @property
-    def posture(self) -> Float[np.ndarray, " joints"]:
-        """Angles of the joints about which they move, rad."""
-        return self.robot.posture
-
-    @property
     def shares(self) -> tuple[FloatScalar, ...]:
         """Shares of the offset by kind of joint; none: all 1."""
         return self.action_shares
@@ -120,13 +115,13 @@ class LeggedBody(ContinuousTask):
 
     def start(self, keys: Key[Array, "3"]) -> World:
         """The body at rest near its posture, in any direction, about to touch the ground."""
-        spread = START_SPREAD * jax.random.uniform(keys[0], self.posture.shape, minval=-1.0)
+        spread = START_SPREAD * jax.random.uniform(keys[0], self.robot.posture.shape, minval=-1.0)
         lean = START_SPREAD * jax.random.uniform(keys[1], (2,), minval=-1.0)
         heading = jax.random.uniform(keys[2], (), maxval=2 * np.pi)
         place = jnp.zeros(3).at[2].set(self.robot.start_height)
         free = jnp.concatenate([place, leaning_quaternion(heading, lean)])
         qpos = jnp.asarray(self.simulator.qpos0, float).at[:7].set(free)
-        qpos = qpos.at[self.simulator.joint_qpos].set(self.posture + spread)
+        qpos = qpos.at[self.simulator.joint_qpos].set(self.robot.posture + spread)
         return self.simulator.start(qpos, jnp.zeros(len(qpos) - 1))
 
     def on_terrain(self, world: World, terrain: Terrain, key: Key[Array, ""]) -> World:
@@ -144,7 +139,7 @@ class LeggedBody(ContinuousTask):
         """Return the set-points of the joints, rad: the posture, a motion about it and the learner's offsets."""
         if self.shares:
             offsets = jnp.stack([jnp.asarray(share, float) for share in self.shares])[self.robot.kinds] * offsets
-        return jnp.radians(self.action_scale) * offsets + (reference + self.posture)
+        return jnp.radians(self.action_scale) * offsets + (reference + self.robot.posture)
 
     def advance(
         self,
