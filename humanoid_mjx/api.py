@@ -221,7 +221,7 @@ def _rollout(task: Task, policy: Any, key: Key[Array, ""], discount: float | Arr
             return policy(policy.observation(state), key)
         return _checked(policy(state.obs, key), env.action_bins, env is task)
 
-    return rollouts.rollout_checked(env, choose, key, discount)
+    return rollouts.rollout(env, choose, key, discount)
 
 
 def _checked(action: Any, bins: tuple[int, ...], commands: bool) -> Array:

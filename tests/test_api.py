@@ -103,7 +103,7 @@ def test_a_policy_plays_as_its_learner_acts(grid):
     policies = jax.tree.map(lambda x: x[1], grid.policy)
     played = jax.vmap(rollout, (None, 0, None))(EXACT.task, policies, key(7))
     table = policies.weights[2]
-    expected = rollout_of_states(EXACT.env, greedy(EXACT, table), key(7))
+    expected, _ = rollout_of_states(EXACT.env, greedy(EXACT, table), key(7))
     assert played.steps[2] == expected.steps and played.success[2] == expected.success
     state = EXACT.env.reset(key(1))
     policy = jax.tree.map(lambda x: x[2], policies)

@@ -72,7 +72,7 @@ def evaluate_all(policies: Sequence[StoredPolicy], episodes: int) -> list[Evalua
 def _program(arithmetic: Arithmetic, program: Program) -> Callable[..., Episode]:
     def episode(learner: Learner, policy: Any, number: IntScalar, key: Key[Array, ""]) -> Episode:
         discount = getattr(learner, "discount", getattr(learner, "discounting", 1.0))
-        return rollout(learner.env, agent(learner, policy, number), key, discount)
+        return rollout(learner.env, agent(learner, policy, number), key, discount)[0]
 
     many = jax.vmap(episode, in_axes=(None, None, None, 0))
     return jitted(many, arithmetic, program)

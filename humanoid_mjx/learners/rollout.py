@@ -36,19 +36,18 @@ class Episode(NamedTuple):
     """Sum over the steps k of `discount**k` times the reward."""
 
 
-def rollout(env: ContinuousTask, choose: Choose, key: Key[Array, ""], discount: FloatScalar | float = 1.0) -> Episode:
-    """Play one episode to its end, at most `MAX_EPISODE_STEPS` steps."""
-    return rollout_checked(env, choose, key, discount)[0]
-
-
 Loop = tuple[State, Float[Array, "2"], IntScalar, Array]
 """Carry of a rollout: the state, both returns, steps, and the last action or the first outside its range."""
 
 
-def rollout_checked(
+def rollout(
     env: ContinuousTask, choose: Choose, key: Key[Array, ""], discount: FloatScalar | float = 1.0
 ) -> tuple[Episode, Array]:
-    """Return what `rollout` does, and the first action that `env` does not allow; if there is none, the last action."""
+    """Play one episode to its end, at most `MAX_EPISODE_STEPS` steps.
+
+    Returns:
+      its results, and the first action that `env` does not allow; if there is none, the last action.
+    """
 
     def running(loop: Loop) -> BoolScalar:
         return ~loop[0].done & (loop[2] < MAX_EPISODE_STEPS)
@@ -111,6 +110,6 @@ def agent(learner: Learner, policy: Any, number: IntScalar) -> Choose:
 
 def mean_scores(env: ContinuousTask, choose: Choose, episodes: int, key: Key[Array, ""]) -> dict[str, FloatScalar]:
     """Means over episodes side by side: `return`, `steps`, `success`."""
-    played = jax.vmap(lambda key: rollout(env, choose, key))(jax.random.split(key, episodes))
+    played = jax.vmap(lambda key: rollout(env, choose, key)[0])(jax.random.split(key, episodes))
     scores = {"return": played.episode_return, "steps": played.steps, "success": played.success}
     return {name: jnp.mean(x, dtype=jnp.float32) for name, x in scores.items()}

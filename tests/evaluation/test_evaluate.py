@@ -103,7 +103,7 @@ def test_episodes_are_the_same_for_all_and_however_they_are_cut(leg, monkeypatch
 
 def test_a_reward_of_one_for_each_of_ten_steps_is_discounted():
     always = probes.make(1, [1, 1], 0, [0, 0], [[1, 1], [1, 1]], cap=10)
-    play = jax.jit(lambda discount: rollout(always, lambda state, key: jnp.zeros(1, int), rng.key(0), discount))
+    play = jax.jit(lambda discount: rollout(always, lambda state, key: jnp.zeros(1, int), rng.key(0), discount)[0])
     for discount in (0.0, 0.9):
         found = play(discount)
         assert found.episode_return == 10

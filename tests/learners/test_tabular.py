@@ -109,7 +109,7 @@ def test_navigate_finds_paths_as_short_as_breadth_first_search(agents):
     task = make_task("navigate", max_episode_steps=300)
     learner = make_learner("tabular_q", task, episodes=600, epsilon=0.5, discount=0.9, agents=agents)
     carry = train_to_end(learner, 4).carry
-    play = jax.jit(jax.vmap(lambda q, key: rollout(learner.env, greedy(learner, q), key)))
+    play = jax.jit(jax.vmap(lambda q, key: rollout(learner.env, greedy(learner, q), key)[0]))
     played = play(carry.q_table, jax.random.split(rng.key(1), 4))
     assert played.success.all()
     assert (played.steps == shortest_path(task.map)).all()
