@@ -114,7 +114,12 @@ def _share(path: Path, runs: int, points: int, seeds: int, provenance: Mapping[s
         return 1.0
     under_way: dict[int, float] = {}
     for file in reversed(pools(path)):
-        pool = read_arrays(file, ("slots", "progress"))
+        try:
+            pool = read_arrays(file, ("slots", "progress"))
+        except InputError:
+            if file.exists():
+                raise
+            continue  # its runs have ended meanwhile
         try:
             waits = (pool["slots"] >= 0) & ~np.isin(pool["slots"], finished)
             shares = np.minimum(pool["progress"][waits], 1.0).tolist()

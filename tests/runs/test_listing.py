@@ -15,6 +15,7 @@ from rich.console import Console
 from humanoid_mjx import InputError, sweep
 from humanoid_mjx.commands import runs
 from humanoid_mjx.config import parse
+from humanoid_mjx.runs import listing
 from humanoid_mjx.runs.folder import RunFolder, run_path
 from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.training import pool
@@ -86,6 +87,17 @@ def test_a_run_that_was_killed_says_how_far_it_is(folder):
     run = only(folder)
     assert (run.points, run.state, run.share) == (4, "interrupted", 7 / 12)
     assert np.isnan(run.success)
+
+
+def test_a_pool_whose_runs_end_while_it_is_read_is_no_damage(folder, monkeypatch):
+    path = folder / "small"
+    (path / "provenance.json").unlink()
+    (part,) = (path / "checkpoint").glob("part-*.npz")
+    part.unlink()
+    monkeypatch.setattr(listing, "pools", lambda path: [path / "checkpoint/pool-0-11.npz"])
+    assert only(folder).share == 0.0
+    (path / "checkpoint/pool-0-11.npz").write_bytes(b"")
+    assert "pool-0-11.npz: this file is truncated or damaged" in "".join(list_runs(folder)[1])
 
 
 def test_a_run_that_a_process_holds_is_training(folder):
