@@ -9,12 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from humanoid_mjx.spec import LARGEST, SMALLEST
 from humanoid_mjx.types import AnyArray, FloatScalar, IntScalar
 
 QRow = tuple[FloatScalar, ...]
 """The values of one row of a table."""
-
-LEAST, MOST = (float(getattr(np.finfo(np.float32), name)) for name in ("tiny", "max"))
 
 
 def amounts(schedule: Any, episode: Int[Array, " envs"]) -> Float[Array, " envs"]:
@@ -36,7 +35,7 @@ def chances(
     exp(Q / temperature). Q is the mean of the joints' values, so that each joint chooses by itself."""
     q, amount = jnp.where(learner.allowed, q, -jnp.inf), amount[..., None, None]
     if learner.exploration == "boltzmann":
-        return jax.nn.softmax(q / (q.shape[-2] * jnp.maximum(amount, LEAST)))
+        return jax.nn.softmax(q / (q.shape[-2] * jnp.maximum(amount, SMALLEST)))
     best = q == q.max(axis=-1, keepdims=True)
     greedy, random = (x / x.sum(axis=-1, keepdims=True) for x in (best, learner.allowed))
     return (1.0 - amount) * greedy + amount * random
@@ -90,7 +89,7 @@ def entry(row: tuple[Array, ...], index: IntScalar) -> Array:
 
 def softmax(values: QRow, temperature: FloatScalar) -> QRow:
     """The odds of each action in a row, 1 for the best. Kernels and XLA round a power alike, but no exponential."""
-    best, temperature = reduce(jnp.maximum, values), jnp.maximum(temperature, LEAST)
+    best, temperature = reduce(jnp.maximum, values), jnp.maximum(temperature, SMALLEST)
     return tuple(np.float32(np.e) ** ((value - best) / temperature) for value in values)
 
 
@@ -107,7 +106,7 @@ def upper_bounds(values: QRow, visits: QRow, confidence: FloatScalar) -> QRow:
     "Finite-time Analysis of the Multiarmed Bandit Problem", 2002)."""
     log = _log(jnp.maximum(sum(visits), 1.0))
     bonuses = [confidence * jnp.sqrt(log / jnp.maximum(n, 1.0)) for n in visits]
-    return tuple(jnp.where(n > 0, q + bonus, MOST) for q, n, bonus in zip(values, visits, bonuses, strict=True))
+    return tuple(jnp.where(n > 0, q + bonus, LARGEST) for q, n, bonus in zip(values, visits, bonuses, strict=True))
 
 
 def _log(x: FloatScalar) -> FloatScalar:
