@@ -199,27 +199,25 @@ class TabularQ(Learner):
     def train_step(self, carry: Carry) -> tuple[Carry, Outcome]:
         """Learn from the moves under way and make the next ones."""
         q_table, agents, step, traces = carry
+        mapped: Any = jax.vmap if self.agents > 1 else lambda function, in_axes=0: function
+        rows = mapped(_row, in_axes=(None, 0))
+        next_q_row = rows(q_table, agents.next_row)
+        if agents.ahead is not None:
+            agents = agents._replace(ahead=self.choose(agents, next_q_row, step + 1))
+        if (past := agents.past) is not None:  # its oldest move takes the place of the one under way
+            row, action, _ = (entry(each, past.count - 1) for each in zip(*past.moves, strict=True))
+            last = agents.terminated | (agents.length >= self.task.max_episode_steps)
+            past = past._replace(due=last | (past.count >= self.steps), waits=last & (past.count > 1))
+            agents = agents._replace(row=row, action=action, q_row=_row(q_table, row), past=past)
+        update, outcome = mapped(self.learn)(agents, next_q_row)
         if self.agents == 1:
-            next_q_row = _row(q_table, agents.next_row)
-            if agents.ahead is not None:
-                agents = agents._replace(ahead=self.choose(agents, next_q_row, step + 1))
-            if (past := agents.past) is not None:  # its oldest move takes the place of the one under way
-                row, action, _ = (entry(each, past.count - 1) for each in zip(*past.moves, strict=True))
-                last = agents.terminated | (agents.length >= self.task.max_episode_steps)
-                past = past._replace(due=last | (past.count >= self.steps), waits=last & (past.count > 1))
-                agents = agents._replace(row=row, action=action, q_row=_row(q_table, row), past=past)
-            update, outcome = self.learn(agents, next_q_row)
             q_table, traces = self._learned(q_table, traces, agents, update)
-            agents = self.go_on(agents, step + 1)
-            agents = self.move(agents, _row(q_table, agents.row), step + 1)
         else:
-            rows = jax.vmap(_row, in_axes=(None, 0))
-            update, outcome = jax.vmap(self.learn)(agents, rows(q_table, agents.next_row))
             total = _add(jnp.zeros_like(q_table), update, update.td_error)
             count = _add(jnp.zeros_like(q_table), update, jnp.ones_like(update.td_error))
             q_table = q_table + self.learning_rate * total / jnp.maximum(count, 1.0)
-            agents = jax.vmap(self.go_on, in_axes=(0, None))(agents, step + 1)
-            agents = jax.vmap(self.move, in_axes=(0, 0, None))(agents, rows(q_table, agents.row), step + 1)
+        agents = mapped(self.go_on, in_axes=(0, None))(agents, step + 1)
+        agents = mapped(self.move, in_axes=(0, 0, None))(agents, rows(q_table, agents.row), step + 1)
         return Carry(q_table, agents, step + 1, traces), outcome
 
     def progress(self, carry: Carry) -> FloatScalar:
