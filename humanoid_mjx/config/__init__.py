@@ -243,10 +243,8 @@ class _Loader(yaml.SafeLoader):
         seen: set[str] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
-            problem = f"key {shown(key)} is no string" if not isinstance(key, str) else None
-            if problem is None and key in seen:
-                problem = f"key {shown(key)} appears twice"
-            if problem:
+            if not isinstance(key, str) or key in seen:
+                problem = f"key {shown(key)} {'appears twice' if isinstance(key, str) else 'is no string'}"
                 raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep)

@@ -1,7 +1,7 @@
 """A list of run folders: what each trained, how far it is, and how its best point does."""
 
-import os
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -140,16 +140,9 @@ def _outcome(path: Path, config: Mapping[str, Any]) -> tuple[float, float, int]:
 
 def _in_use(path: Path) -> bool:
     """True if a process, or several that share the folder, holds its lock."""
-    try:
-        handle = os.open(path / ".lock", os.O_RDONLY)
-    except OSError:
-        return False
-    try:
-        lock(handle)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False  # some file systems lock only what may be written
-    finally:
-        os.close(handle)
+    with suppress(OSError), (path / ".lock").open("rb") as file:  # some file systems lock only what may be written
+        try:
+            lock(file.fileno())
+        except BlockingIOError:
+            return True
     return False
