@@ -241,6 +241,7 @@ WRONG = {
     "make_learner('tabular_q', 'joint_reach')": "got 'joint_reach'; pass make_task('joint_reach').",
     "make_learner('tabular_q', type(task))": "pass JointReach(...).",
     "make_task(type(task))": '; write "humanoid_mjx.tasks.joint_reach:JointReach", or JointReach(...).',
+    "make_learner('deep_q', humanoid_mjx.Task())": "Task is not; derive it from FiniteTask or ContinuousTask.",
     "make_learner('tabular_q', task, total_steps=9)": "total_steps: tabular_q counts episodes; write episodes in its",
     "make_learner('deep_q', task, episodes=9)": "episodes: deep_q counts control steps of all environments; write",
     "make_learner('tabular_q', task, episodes=50, record=60)": "record (60) must be at most episodes (50).",

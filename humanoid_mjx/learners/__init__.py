@@ -50,7 +50,8 @@ def make_learner(name: str, /, task: Task, **params: Any) -> Learner:
         fit = ", ".join(n for n in LEARNERS if isinstance(task, _kinds(find("learner", LEARNERS, Learner, n))))
         kinds = " or ".join(kind.__name__.removesuffix("Task").lower() for kind in wanted)
         no = f"{name} learns {kinds} tasks, which {name_of(task)} is not"
-        raise InputError(f"learner.name: {no}; learners for it are {fit}.")
+        advice = f"learners for it are {fit}" if fit else "derive it from FiniteTask or ContinuousTask"
+        raise InputError(f"learner.name: {no}; {advice}.")
     if odd := [unit for unit in ("episodes", "total_steps") if unit in params and unit not in cls.model_fields]:
         counts = "episodes" if cls.unit == "episodes" else "control steps of all environments"
         typed = f"in commands --set {odd[0]}=null --set {cls.unit}=N"
