@@ -23,8 +23,6 @@ class Ranked(NamedTuple):
     whole: float
     """Mean over all of training, the area under the learning curve: of the steps where `quickest`, else of the
     return."""
-    rank: tuple[float, ...]
-    """Sorts points from best to worst."""
 
 
 BEST_POINTS = 10
@@ -79,8 +77,8 @@ def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: boo
     ranks = np.nan_to_num(np.stack([-np.round(success, 3), *costs], axis=1), nan=np.inf, posinf=np.inf, neginf=np.inf)
     values = zip(*(summary[axis][order[starts]].tolist() for axis in axes), strict=True) if axes else repeat(())
     means = (column.tolist() for column in (success, greedy_return, greedy_steps, whole))
-    found = map(Ranked, points.tolist(), values, *means, map(tuple, ranks.tolist()))
-    return sorted(found, key=lambda point: point.rank)
+    found = list(map(Ranked, points.tolist(), values, *means))
+    return [found[place] for place in np.lexsort(ranks.T[::-1])]
 
 
 MEASURES = {
