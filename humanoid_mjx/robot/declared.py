@@ -22,7 +22,7 @@ from pydantic import Field
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder, meant, read_text
 from humanoid_mjx.robot import mjcf
-from humanoid_mjx.robot.description import BEND, Robot, Servo, add_imu, add_motors_and_imu, listed
+from humanoid_mjx.robot.description import BEND, STEPS, Robot, Servo, add_imu, add_motors_and_imu, listed, two_digits
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
 from humanoid_mjx.robot.motors import driven, motors_on, own_drives
@@ -69,6 +69,10 @@ Posture = Annotated[
     str | dict[str, float], pydantic.BeforeValidator(lambda given: given if isinstance(given, str) else _numbers(given))
 ]
 
+REACH, LIFT = 0.6, 0.4
+"""Powers of `softness` by which set-points reach and steps rise farther, from trainings of G1, T1 and Apollo with the
+gains of their files (docs/robots.md)."""
+
 
 class DeclaredServo(Spec):
     """Gains of the servo that drives the joints."""
@@ -89,7 +93,10 @@ class Declaration(Spec):
     home: Posture = Field("", description="how it stands: a keyframe, or degrees by joint; by default all joints at 0")
     servo: DeclaredServo = Field(DeclaredServo.model_validate({}), description="gains of its joints' servo")
     torque: ByJoint | None = Field(None, description="largest torque by joint, N m; by default the model's")
-    shares: ByJoint | None = Field(None, description="factors on action_scale, by joint; by default 1")
+    shares: ByJoint | None = Field(
+        None, description="factors on action_scale, by joint; by default 1, or more where the servo is soft"
+    )
+    steps: float | None = Field(None, gt=0, le=10, description=f"{STEPS}; by default as soft as they are")
     turns: list[Annotated[float, Field(ge=0, le=1)]] = Field(
         [], description="phase, 0 to 1, at which each foot's swing begins; by default even"
     )
@@ -119,7 +126,7 @@ class Declared(Robot):
 
     def _unchanged(self) -> dict[str, Any]:
         own = _read(find(self.name)).values
-        return {key: value for key, value in own.items() if key not in ("name", "content")}
+        return {"shares": (), "steps": 1.0} | {key: value for key, value in own.items() if key != "content"}
 
     def _upright(self) -> tuple["Source", mujoco.MjSpec, mujoco.MjModel]:
         """The files, and the MJCF with an upright trunk."""
@@ -197,14 +204,22 @@ def make_declared(name: str, **values: Any) -> Declared:
       InputError: no such file, an unknown key, a value that does not fit the model, or another content than that asked
         for, in one sentence that names the file.
     """
-    path = find(name)
+    path, stored = find(name), "content" in values  # in the config of a run, with all that is not as by default
     source = _read(path)
     asked = values.get("content") or source.values["content"]
     if asked != source.values["content"]:
         now = f"sweep, play and evaluate take it as it is now by --set task.robot={name}"
         raise InputError(f"robot: {name} has changed since this run, its YAML or a file of its model; {now}.")
+    values = source.values | values | {"name": name if is_shipped(name) else str(path)}
     try:
-        return Declared.model_validate(source.values | values | {"name": name if is_shipped(name) else str(path)})
+        robot = Declared.model_validate(values)
+        from humanoid_mjx.robot.holding import softness  # scipy.linalg is slow to import
+
+        if stored or {"shares", "steps"} <= values.keys() or (factor := softness(robot)) <= 1:
+            return robot
+        kinds = len(set(robot.kinds.tolist()))
+        reach = {"shares": (two_digits(factor**REACH),) * kinds, "steps": two_digits(factor**LIFT)}
+        return Declared.model_validate(reach | values)
     except pydantic.ValidationError as error:
         raise InputError(f"{path.name}: {sentence(error, '', Declared)}") from error
 
@@ -300,6 +315,8 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
             if uneven := [joint for k, joint in enumerate(joints) if shares[k] != shares[first[k]]]:
                 raise InputError(f"shares: {uneven[0]} and its mirror image must have the same")
             values["shares"] = tuple(shares[sorted(set(first))].tolist())  # by kind of joint
+        if declared.steps is not None:
+            values["steps"] = declared.steps
     except InputError as error:
         message = str(error).rstrip(".")
         raise InputError(f"{path.name}: {message}.") from error

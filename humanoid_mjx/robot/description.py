@@ -49,6 +49,8 @@ class Servo(NamedTuple):
 
 BEND = "bend of legs at home, as degrees of hip pitch: a gait's `lift` adds to it and so shortens two equal links"
 
+STEPS = "factor on a gait's `lift` and `sway`: soft joints do not get as far as they are told"
+
 
 def listed(description: str) -> Any:
     """Declare a field that holds a list, empty by default."""
@@ -64,6 +66,7 @@ class Robot(Named):
     shares: tuple[float, ...] = listed("factors on action_scale, by kind of joint; empty: 1")
     mirror: tuple[tuple[str, str], ...] = listed("parts of names that change sides")
     bend: float = Field(default=15.0, ge=0, lt=90, description=BEND)
+    steps: float = Field(default=1.0, gt=0, le=10, description=STEPS)
 
     def __hash__(self) -> int:
         return hash((type(self), *self.__dict__.values()))

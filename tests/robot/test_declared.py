@@ -166,7 +166,7 @@ def test_patterns_the_models_own_values_and_defaults(tmp_path):
     np.testing.assert_array_equal(robot.servo.stiffness[:3], [5, 5, 7])
     np.testing.assert_allclose(robot.servo.damping, 0.03 * robot.servo.stiffness)
     np.testing.assert_array_equal(robot.torque_limits[:3], [3, 23.7, 35.5])
-    assert robot.shares == ()
+    assert len(set(robot.shares)) == 1 and robot.shares[0] > 1  # for a servo as soft as this
     plain = make_robot(files(tmp_path, servo=None))
     np.testing.assert_array_equal(plain.servo.stiffness, plain.torque_limits)
 

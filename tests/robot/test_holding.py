@@ -1,14 +1,16 @@
 """Does a robot stand on its servo alone? Native MuJoCo says so."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+import yaml
 
 from humanoid_mjx import make_robot
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.holding import in_words, tipping
+from humanoid_mjx.robot.holding import in_words, softness, tipping
 
 
 def height_after(robot, factor, seconds):
@@ -30,10 +32,10 @@ def height_after(robot, factor, seconds):
 
 @pytest.mark.parametrize("name", ["humanoid", "t1", "g1"])
 def test_a_robot_tips_over_below_that_stiffness(name, tmp_path):
-    if name != "humanoid":
-        pytest.importorskip("mujoco_playground")
-    if name == "g1":  # with the gains of its file motors give out before it stands
-        text = (folder("robots") / "g1.yaml").read_text()
+    if name != "humanoid":  # with the gains of their files motors give out before they stand
+        if find_spec("mujoco_playground") is None:
+            pytest.skip("no package mujoco_playground")
+        text = (folder("robots") / f"{name}.yaml").read_text()
         name = str(tmp_path / "stiffer.yaml")
         Path(name).write_text(f"{text}servo: {{stiffness: 100, damping: 3}}")
     robot = make_robot(name)
@@ -42,3 +44,44 @@ def test_a_robot_tips_over_below_that_stiffness(name, tmp_path):
     assert bool(said) == (factor > 1) == (name != "humanoid")
     assert height_after(robot, 1.6 * factor, 10.0) > 0.8
     assert height_after(robot, 0.75 * factor, 10.0) < 0.7
+
+
+def softer(path, times, **keys):
+    """The humanoid's YAML in a folder, its servo so many times as soft, with other keys; None takes one out."""
+    data = yaml.safe_load((folder("robots") / "humanoid.yaml").read_text())
+    data["model"] = str(folder("robots") / data["model"])
+    firm = make_robot("humanoid")
+    gains = [dict(zip(firm.joints, (each / times).tolist(), strict=True)) for each in firm.servo]
+    data["servo"] = dict(zip(("stiffness", "damping"), gains, strict=True))
+    data = {key: value for key, value in (data | keys).items() if value is not None}
+    (path / "soft.yaml").write_text(yaml.safe_dump(data, sort_keys=False))
+    return str(path / "soft.yaml")
+
+
+def again(robot):
+    """The robot as the config of a run has it."""
+    values = robot.model_dump()
+    return make_robot(values.pop("name"), **values)
+
+
+def test_soft_robots_are_told_to_go_farther(tmp_path):
+    firm = make_robot("humanoid")
+    assert (firm.steps, softness(firm)) == (1.0, 1.0)
+    name = softer(tmp_path, 8.0)
+    robot = make_robot(name)
+    assert softness(robot) == pytest.approx(8.0 * tipping(firm)[0], rel=1e-6) and robot.shares == firm.shares
+    assert robot.steps == pytest.approx(softness(robot) ** 0.4, rel=0.05)
+    assert any(f"sway {robot.steps:g} times as far" in line for line in in_words(robot))
+    assert again(robot) == robot
+    plain = make_robot(softer(tmp_path, 8.0, shares=None))
+    assert plain.steps == robot.steps and len(set(plain.shares)) == 1
+    assert plain.shares[0] == pytest.approx(softness(plain) ** 0.6, rel=0.05)
+    assert again(plain) == plain
+
+
+def test_what_a_yaml_says_and_runs_of_before_hold(tmp_path):
+    name = softer(tmp_path, 8.0, steps=1.5)
+    assert make_robot(name).steps == 1.5 and again(make_robot(name)) == make_robot(name)
+    before = make_robot(softer(tmp_path, 8.0, shares=None))
+    stored = make_robot(before.name, content=before.content)  # of a run of before the key
+    assert (stored.steps, stored.shares) == (1.0, ())

@@ -10,6 +10,7 @@ import pytest
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.mechanics import gaits
 from humanoid_mjx.mechanics.pattern_generator import mean_posture
+from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.lower_body import SIDES, LowerBody
 from humanoid_mjx.tasks.legged.gait import Clock, Gait, Steps
 from humanoid_mjx.tasks.legged.thesis_gaits import FORTH, Oscillators, TableSteps
@@ -46,6 +47,14 @@ def feet_by(gait, phase, command):
     data.qpos[:] = np.r_[0, 0, 0.5, 1, 0, 0, 0, joints]
     mujoco.mj_kinematics(data.model, data)
     return [np.array([getattr(data.body(f"{side}_foot"), name) for side in SIDES]) for name in ("xpos", "xmat")]
+
+
+@pytest.mark.parametrize("robot", [BODY, make_robot("humanoid")])
+def test_a_robot_may_rise_and_sway_farther(robot):
+    command, far = jnp.array([0.3, 0.1, 0.5]), robot.model_copy(update={"steps": 2.5})
+    for phase in (0.1, 0.4, 0.8):
+        told = Steps(lift=10.0, sway=4.0).reference(Clock(phase), command, far)
+        np.testing.assert_allclose(told, Steps(lift=25.0, sway=10.0).reference(Clock(phase), command, robot), atol=1e-6)
 
 
 @pytest.mark.parametrize("phase", [0.1, 0.2, 0.6])

@@ -103,11 +103,11 @@ class Steps(Gait):
         # The hip's yaw and roll turn about axes that lean with the thigh.
         cos, sin = jnp.cos(build.lean + pitch), jnp.sin(build.lean + pitch)
         yaw, roll = cos * around - sin * aside, cos * aside + sin * around
-        roll = roll - jnp.radians(self.sway) * jnp.sin(2 * jnp.pi * phase)
+        roll = roll - jnp.radians(robot.steps * self.sway) * jnp.sin(2 * jnp.pi * phase)
         swept = jnp.stack([pitch, yaw * LEFTWARDS, roll * LEFTWARDS, jnp.zeros(2), pitch], axis=-1)
         swing = self.swing(phase, robot)
         lift = swing * jnp.maximum(swing, 1e-6) ** self.landing
-        lifted = jnp.radians(self.lift) * lift[:, None] * SHORTENED
+        lifted = jnp.radians(robot.steps * self.lift) * lift[:, None] * SHORTENED
         return jnp.where(moves(command), (swept + lifted).reshape(-1), 0.0)
 
     def _by_inverse_kinematics(
@@ -118,9 +118,9 @@ class Steps(Gait):
         place, matrix = (part.astype(np.float32) for part in reach_of(robot))
         ahead, aside = place.T
         forward, left, turn = self.stride * command
-        over = np.sign(aside[0]) * jnp.radians(self.sway) * jnp.sin(2 * jnp.pi * phase)
+        over = np.sign(aside[0]) * jnp.radians(robot.steps * self.sway) * jnp.sin(2 * jnp.pi * phase)
         swing = self.swing(phase, robot)
-        height = math.cos(bend) - jnp.cos(bend + jnp.radians(self.lift))
+        height = math.cos(bend) - jnp.cos(bend + jnp.radians(robot.steps * self.lift))
         lifted = height * swing * jnp.maximum(swing, 1e-6) ** self.landing
         parts = [way * (forward - turn * aside) / length, way * (left + turn * ahead) / length + over, lifted]
         parts += [way * turn] if robot.points > 2 else []
