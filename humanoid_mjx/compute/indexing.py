@@ -12,6 +12,8 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float, Int
 
+from humanoid_mjx.compute.ways import ways
+
 
 @custom_vmap
 def add_at(array: Float[Array, "rows ..."], index: Int[Array, "..."], values: Float[Array, "..."]) -> Array:
@@ -29,8 +31,7 @@ def _(runs: int, batched: list[bool], *args: Any) -> tuple[Array, bool]:
     if index.ndim > 1 or runs * rows > np.iinfo(np.int32).max:
         return jax.vmap(add_at.fun)(array, index, values), True
     place = jnp.arange(runs, dtype=jnp.int32) * rows + index
-    if jax.default_backend() != "cpu":
-        # In one kernel with the additions a GPU would read what they come from, and copy the array for it first.
+    if ways().additions_apart:
         place, values = jax.lax.optimization_barrier((place, values))
     flat = array.reshape(runs * rows, *array.shape[2:])
     flat = flat.at[place].add(values, mode="promise_in_bounds", unique_indices=True, wrap_negative_indices=False)

@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
+from humanoid_mjx.compute.ways import ways
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, auto_reset
 from humanoid_mjx.types import FloatScalar, IntScalar
 
 RESETS = 16
-"""Number of resets at a time on a CPU. A reset costs a fifth of a step, and most steps end few episodes."""
+"""Number of resets at a time, on a CPU. A reset costs a fifth of a step, and most steps end few episodes."""
 
 
 class Envs(NamedTuple):
@@ -49,7 +50,7 @@ def step_all(
     sums = {"episodes": done, "steps": done * length, "success": done & state.success}
     sums |= {name: done * total for name, total in totals.items()}
     sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in sums.items()}
-    few = jax.default_backend() == "cpu" and len(done) > RESETS
+    few = ways().resets_apart and len(done) > RESETS
     resets = _reset_done if few else jax.vmap(auto_reset, (None, 0, 0))
     totals = {name: total * ~done for name, total in totals.items()}
     return Envs(resets(env, state, reset_keys), envs.episode + done, length * ~done, totals), state, sums

@@ -14,6 +14,7 @@ from flax.errors import FlaxError
 from jaxtyping import Array, Float, Key
 from pydantic import Field, model_validator
 
+from humanoid_mjx.compute.ways import ways
 from humanoid_mjx.learners.approximate import ApproximateQ, Batch, Weights, chosen
 from humanoid_mjx.learners.normalisation import normalise
 from humanoid_mjx.spec import InputError, traced
@@ -43,14 +44,13 @@ class QNetwork(nn.Module):
 
     @nn.compact
     def __call__(self, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints bins"]:
-        cpu = jax.default_backend() == "cpu"
-        half = self.precision == "bfloat16" and not cpu
+        half = self.precision == "bfloat16" and ways().short_numbers
         dtype, precision = (jnp.bfloat16, None) if half else (None, self.precision)
         x = obs
         for _ in range(self.layers):
             x = nn.relu(nn.LayerNorm(dtype=dtype)(nn.Dense(self.width, dtype=dtype, precision=precision)(x)))
         last = "tensorfloat32" if half else self.precision
-        product = None if cpu else _aligned
+        product = _aligned if ways().columns_filled else None
         q = nn.Dense(self.joints * self.bins, dtype=jnp.float32, precision=last, dot_general=product)(x)
         return q.reshape(*q.shape[:-1], self.joints, self.bins)
 
@@ -118,7 +118,7 @@ class DeepQ(ApproximateQ):
 
         def step(carry: tuple[Any, Any], part: Batch) -> tuple[tuple[Any, Any], FloatScalar]:
             value, optimizer = carry
-            error, gradient = jax.value_and_grad(loss if jax.default_backend() == "cpu" else loss_by_parts)(value, part)
+            error, gradient = jax.value_and_grad(loss_by_parts if ways().loss_by_parts else loss)(value, part)
             change, optimizer = transform.update(gradient, optimizer, value)
             return (optax.apply_updates(value, change), optimizer), error
 

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 
 from humanoid_mjx.compute import Arithmetic
+from humanoid_mjx.compute.ways import ways
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError, Spec
@@ -139,8 +140,8 @@ class Physics(Spec):
 
     @property
     def batch(self) -> int:
-        """Largest number of worlds to move side by side here: more gain nothing, and fewer report sooner."""
-        return 1024 if jax.default_backend() == "cpu" else 32_768
+        """Largest number of worlds to move side by side here."""
+        return ways().worlds
 
     @property
     def step_s(self) -> float:

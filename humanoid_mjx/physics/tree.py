@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from pydantic import model_validator
 
 from humanoid_mjx.compute import Arithmetic
+from humanoid_mjx.compute.ways import ways
 from humanoid_mjx.control.drives import limited
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.kernels import fallback
@@ -123,7 +124,7 @@ class TreePhysics(MujocoPhysics):
 
     def _unroll(self, controller: Controller, cycles: int) -> int:
         """Time steps in one pass of a loop; one where the controller is long to compile, and on a CPU."""
-        if jax.default_backend() == "cpu" or not _kernels_run() or not self._asks_little(controller):
+        if not ways().steps_unrolled or not _kernels_run() or not self._asks_little(controller):
             return 1
         return cycles if cycles <= WHOLE else UNROLL
 

@@ -12,6 +12,7 @@ from jaxtyping import Int
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import kept, rng
+from humanoid_mjx.compute.ways import ways
 from humanoid_mjx.config import Config, set_below
 from humanoid_mjx.config.axes import sweep_points
 from humanoid_mjx.learners import Learner, make_learner
@@ -164,7 +165,7 @@ class Plan:
     def width(self, group: Group) -> int | None:
         """Return how many runs train side by side on each device, where another number would change bits that are
         promised: those of networks, on a CPU. None where memory and speed decide."""
-        fixed = jax.default_backend() == "cpu" and group.learners.program != "tabular"
+        fixed = ways().width_rounds and group.learners.program != "tabular"
         return min(self.chunk, len(group.first_runs)) if fixed else None
 
     def resolved(self) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool
 
 from humanoid_mjx import compute
 from humanoid_mjx.compute import rng
+from humanoid_mjx.compute.ways import ways
 from humanoid_mjx.kernels import fallback
 from humanoid_mjx.kernels.worlds import kernel, why_not
 from humanoid_mjx.learners import Learner
@@ -166,7 +167,7 @@ def placement(learners: Learner, runs: int, room: int, width: int | None = None)
       width: runs that each device trains at once, if that is fixed.
     """
     devices = jax.local_devices()
-    shares = range(len(devices), 0, -1) if jax.default_backend() == "cpu" else (1,)
+    shares = range(len(devices), 0, -1) if ways().devices_share_runs else (1,)
     possible = [share for share in shares if learners.can_share(share)]
     each = 1 if len(possible) > 1 else width
     rows = min(-(-runs // (each or 1)), room // (each or 1), len(devices))

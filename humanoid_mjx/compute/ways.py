@@ -1,0 +1,37 @@
+"""Everything that depends on the kind of device, apart from kernels and XLA's options: a table for each kind."""
+
+from typing import NamedTuple
+
+import jax
+
+
+class Ways(NamedTuple):
+    """What is the faster of two ways to compute the same, and how much is computed at a time."""
+
+    worlds: int
+    """Largest number of worlds to move side by side: more gain nothing, and fewer report sooner."""
+    steps_unrolled: bool
+    """The time steps of a decision follow each other in one pass of a loop."""
+    resets_apart: bool
+    """The episodes that end begin anew by themselves, and not all with a choice."""
+    additions_apart: bool
+    """Additions to an array are a kernel of their own: in one with what they add, the array would be copied first."""
+    short_numbers: bool
+    """Products of matrices take bfloat16 where they may."""
+    columns_filled: bool
+    """Matrices are filled up to a number of columns that the device likes."""
+    loss_by_parts: bool
+    """The loss of a batch is that of its parts, side by side."""
+    devices_share_runs: bool
+    """Several devices may train one run, where there are fewer runs."""
+    width_rounds: bool
+    """How many networks train side by side changes their last bits, so that a plan fixes it."""
+
+
+CPU = Ways(1024, False, True, False, False, False, False, True, True)
+OTHERS = Ways(32_768, True, False, True, True, True, True, False, False)
+
+
+def ways() -> Ways:
+    """Return the ways of jax's default backend."""
+    return CPU if jax.default_backend() == "cpu" else OTHERS
