@@ -67,6 +67,8 @@ def tipping(robot: Robot) -> tuple[float, int]:
     assert robot.servo is not None
     state, model, dofs = Standing(robot), robot.model, robot.model.jnt_dofadr[robot.driven]
     free, springs = null_space(state.jacobians().reshape(-1, model.nv)), np.zeros(model.nv)
+    if not free.size:  # nothing can move while the feet stay
+        return 0.0, 0
     small = 1e-4 * np.eye(model.nv)
     weight = np.array([state.load(change) - state.load(-change) for change in small]) / 2e-4
     springs[dofs] = np.maximum(robot.servo[0], 1e-9)

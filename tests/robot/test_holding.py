@@ -85,3 +85,24 @@ def test_what_a_yaml_says_and_runs_of_before_hold(tmp_path):
     before = make_robot(softer(tmp_path, 8.0, shares=None))
     stored = make_robot(before.name, content=before.content)  # of a run of before the key
     assert (stored.steps, stored.shares) == (1.0, ())
+
+
+LEG = """
+<body name="hip_SIDE" pos="0 Y 0"><joint name="roll_SIDE" axis="1 0 0"/><geom type="sphere" size=".03" mass=".2"/>
+  <body name="foot_SIDE" pos="0 0 -.2"><joint name="yaw_SIDE" axis="0 0 1"/>
+    <geom name="sole_SIDE" type="box" size=".08 .04 .01" mass=".2"/></body></body>"""
+
+
+def test_a_robot_that_its_flat_feet_hold_is_not_soft(tmp_path):
+    """Four joints and two feet that stay where they are leave no freedom."""
+    legs = LEG.replace("SIDE", "r").replace("Y", "-.1") + LEG.replace("SIDE", "l").replace("Y", ".1")
+    joints = [f"{name}_{side}" for side in "rl" for name in ("roll", "yaw")]
+    motors = "".join(f'<motor joint="{joint}" ctrllimited="true" ctrlrange="-20 20"/>' for joint in joints)
+    trunk = '<body name="trunk" pos="0 0 .3"><freejoint/><geom type="box" size=".1 .1 .05" mass="3"/>'
+    text = f"<mujoco><worldbody>{trunk}{legs}</body></worldbody><actuator>{motors}</actuator></mujoco>"
+    (tmp_path / "b.xml").write_text(text)
+    (tmp_path / "b.yaml").write_text(
+        "model: b.xml\nfeet: [sole_r, sole_l]\nmirror: {_r: _l}\nservo: {stiffness: 0.1}\n"
+    )
+    robot = make_robot(str(tmp_path / "b.yaml"))
+    assert tipping(robot) == (0.0, 0) and (robot.steps, robot.shares) == (1.0, ())
