@@ -7,7 +7,7 @@ without loops or matrices. On a CPU they are fastest after `humanoid_mjx.start()
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -106,10 +106,8 @@ def semi_implicit_euler(leg: Chain, state: State, torque: Joints, dt: FloatScala
 
 def midpoint(leg: Chain, state: State, torque: Joints, dt: FloatScalar) -> State:
     """One step of the midpoint rule, of second order, which takes the dynamics twice."""
-    qacc = forward_dynamics(leg, *state, torque)
-    middle = State(_after(state.qpos, state.qvel, dt / 2), _after(state.qvel, qacc, dt / 2))
-    qacc = forward_dynamics(leg, *middle, torque)
-    return State(_after(state.qpos, middle.qvel, dt), _after(state.qvel, qacc, dt))
+    middle = _along(state, State(state.qvel, forward_dynamics(leg, *state, torque)), dt / 2)
+    return _along(state, State(middle.qvel, forward_dynamics(leg, *middle, torque)), dt)
 
 
 def runge_kutta(
@@ -121,20 +119,17 @@ def runge_kutta(
     """
     acting = torque if callable(torque) else lambda share, state: torque
 
-    def along(rate: State, time: FloatScalar) -> State:
-        return State(_after(state.qpos, rate.qpos, time), _after(state.qvel, rate.qvel, time))
-
     # A loop over the four stages compiles the dynamics once.
     def stage(carry: tuple[State, State], share_and_weight: Array) -> tuple[tuple[State, State], None]:
         rate, mean = carry
         share, weight = share_and_weight
-        at = along(rate, share * dt)
+        at = _along(state, rate, share * dt)
         rate = State(at.qvel, forward_dynamics(leg, *at, acting(share, at)))
         return (rate, jax.tree.map(lambda m, r: m + weight * r, mean, rate)), None
 
     stages = jnp.array([[0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1, 1 / 6]], state.qpos.dtype)
     zero = jax.tree.map(jnp.zeros_like, state)
-    return along(jax.lax.scan(stage, (zero, zero), stages)[0][1], dt)
+    return _along(state, jax.lax.scan(stage, (zero, zero), stages)[0][1], dt)
 
 
 def rollout(
@@ -173,11 +168,8 @@ def rollout(
         def acting(share: FloatScalar, state: State) -> Joints:
             return controller((index + share) * jnp.asarray(dt, qpos.dtype), *state)
 
-        if cycle is None:
-            state = integrator(leg, state, acting, dt)
-            return (list(state.qpos), list(state.qvel), []), state
-        torque = acting(0.0, state)
-        if not always:
+        torque: Any = acting if cycle is None else acting(0.0, state)
+        if cycle is not None and not always:
             torque = jnp.where(index % cycle == 0, torque, jnp.stack(carry[2]))
         state = integrator(leg, state, torque, dt)
         return (list(state.qpos), list(state.qvel), [] if always else list(torque)), state
@@ -185,6 +177,11 @@ def rollout(
     start = (list(qpos), list(qvel), [] if always else list(jnp.zeros_like(qpos)))
     final, states = jax.lax.scan(step, start, jnp.arange(steps), unroll=unroll)
     return State(jnp.stack(final[0]), jnp.stack(final[1])), states
+
+
+def _along(state: State, rate: State, time: FloatScalar) -> State:
+    """The state after a time in which its parts change at constant rates."""
+    return State(_after(state.qpos, rate.qpos, time), _after(state.qvel, rate.qvel, time))
 
 
 def _after(value: Joints, rate: Joints, time: FloatScalar) -> Joints:

@@ -1,4 +1,4 @@
-"""Quintic trajectories between two states of motion (section 4.7)."""
+"""Quintic trajectories between two postures (section 4.7)."""
 
 from typing import Any, NamedTuple
 
@@ -36,29 +36,13 @@ class Quintic(NamedTuple):
         return Motion(position, jnp.where(inside, velocity, 0.0), jnp.where(inside, acceleration, 0.0))
 
 
-def quintic(start: Motion, end: Motion, duration: FloatScalar) -> Quintic:
-    """The polynomials that lead from one state of motion to another in `duration`, s, which is positive."""
-    time = duration
-    base = jnp.stack([start.position, start.velocity, start.acceleration / 2])
-    left = jnp.stack(
-        [
-            end.position - _polynomial(base, time),
-            (end.velocity - _polynomial(_derivative(base), time)) * time,
-            (end.acceleration - _polynomial(_derivative(_derivative(base)), time)) * time**2,
-        ]
-    )
-    # What is left at the end for t^3 to t^5 to make up, and the inverse of their values and derivatives there.
-    solve = jnp.array([[10.0, -4.0, 0.5], [-15.0, 7.0, -1.0], [6.0, -3.0, 0.5]], left.dtype)
-    high = jnp.tensordot(solve, left, axes=1, precision="highest")
-    powers = jnp.stack([jnp.asarray(time, left.dtype) ** k for k in (3, 4, 5)])
-    return Quintic(jnp.concatenate([base, high / powers.reshape((3,) + (1,) * (left.ndim - 1))]), time)
-
-
 def rest_to_rest(start: Any, end: Any, duration: FloatScalar) -> Quintic:
-    """The polynomials between two postures, rad, with no velocity and no acceleration at either end."""
+    """The polynomials between two postures, rad, with no velocity and no acceleration at either end, in `duration`, s,
+    which is positive."""
     start, end = jnp.asarray(start, float), jnp.asarray(end, float)
-    still = jnp.zeros_like(start)
-    return quintic(Motion(start, still, still), Motion(end, still, still), duration)
+    still, time = jnp.zeros_like(start), jnp.asarray(duration, start.dtype)
+    high = [factor * (end - start) / time**power for power, factor in ((3, 10.0), (4, -15.0), (5, 6.0))]
+    return Quintic(jnp.stack([start, still, still, *high]), duration)
 
 
 def thesis_quintics() -> Quintic:
