@@ -54,10 +54,7 @@ class Ideal(Drive):
         return torque
 
 
-Gear = Annotated[
-    float | tuple[float, ...],
-    pydantic.BeforeValidator(lambda given: tuple(given) if isinstance(given, list) else given),
-]
+Gear = float | Annotated[tuple[float, ...], pydantic.Field(strict=False)]
 
 
 class DcMotor(Drive):
@@ -80,8 +77,7 @@ class DcMotor(Drive):
     @property
     def gears(self) -> Float[Array, "*joints"]:
         """The gear of all joints, or that of each."""
-        gear: Any = self.gear
-        return jnp.stack([jnp.asarray(x, float) for x in gear]) if isinstance(gear, tuple) else jnp.asarray(gear, float)
+        return jnp.asarray(self.gear, float)
 
     def __call__(self, torque: Joints, qvel: Joints) -> Joints:
         """The torques within the driver's current and voltage (5.21 to 5.24)."""

@@ -15,7 +15,7 @@ from humanoid_mjx.types import AnyArray, MassFactor
 class Stages:
     """Stages of the dynamics of one state. A stage that the controller does not ask for is not even traced.
 
-    In the absence of contacts `mass_matrix @ acceleration + bias = torque`, with zeros for the torque of the torso.
+    In the absence of contacts `matrix @ acceleration + bias = torque`, with zeros for the torque of the torso.
     """
 
     qpos: Float[AnyArray, "*worlds joints"]
@@ -23,7 +23,8 @@ class Stages:
     qvel: Float[AnyArray, "*worlds joints"]
     """rad/s"""
     dynamics: Callable[[], tuple[Any, Any]]
-    """() -> `mass_matrix` and `bias`."""
+    """() -> the mass matrix of all degrees of freedom, whose last rows and columns are the joints'; and the bias:
+    velocity term, gravity and the joints' damping."""
     contacts: Callable[[], Contacts]
     """() -> the corners of the feet that can touch the ground; no points where there is none."""
     model_for: Callable[[MassFactor], tuple[Float[Array, "nv nv"], Float[Array, " nv"]]]
@@ -40,13 +41,3 @@ class Stages:
             return self.inverse_dynamics(qacc, mass)
         matrix, bias = self.model_for(mass)
         return matrix[self.joints][:, self.joints] @ qacc + bias[self.joints]
-
-    @property
-    def mass_matrix(self) -> Float[AnyArray, "*worlds nv nv"]:
-        """Mass matrix of all degrees of freedom; its last rows and columns are the joints'."""
-        return self.dynamics()[0]
-
-    @property
-    def bias(self) -> Float[AnyArray, "*worlds nv"]:
-        """Velocity term, gravity and the joints' damping."""
-        return self.dynamics()[1]

@@ -23,7 +23,8 @@ def look(physics, qpos, qvel):
     seen = {}
 
     def controller(stages):
-        seen.update(matrix=stages.mass_matrix, bias=stages.bias, contacts=stages.contacts())
+        matrix, bias = stages.dynamics()
+        seen.update(matrix=matrix, bias=bias, contacts=stages.contacts())
         return jnp.zeros(10)
 
     physics.step(physics.start(qpos, qvel), controller)

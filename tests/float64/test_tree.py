@@ -157,7 +157,7 @@ def test_a_batch_of_batches_is_one_batch():
     worlds, masses = start(robot, qpos, qvel), jnp.array([0.7, 1.0, 1.6])
 
     def move(world, mass):
-        return robot.replace(mass=mass).step(world, lambda stages: 0.1 * stages.bias[-1:] - stages.qpos)
+        return robot.replace(mass=mass).step(world, lambda stages: 0.1 * stages.dynamics()[1][-1:] - stages.qpos)
 
     nested = jax.jit(jax.vmap(jax.vmap(move, in_axes=(None, 0)), in_axes=(0, None)))(worlds, masses)
     copies = jax.tree.map(lambda x: jnp.repeat(x, len(masses), axis=0), worlds)

@@ -29,7 +29,7 @@ def noted(physics, world, qacc, believed, held):
 
     def controller(stages: Stages):
         masses = believed, jnp.full(10, believed)
-        notes.append((stages.mass_matrix, [stages.torque_for(qacc, mass) for mass in masses]))
+        notes.append((stages.dynamics()[0], [stages.torque_for(qacc, mass) for mass in masses]))
         return held * hold(stages)
 
     world, _ = physics.step(world, controller)
@@ -152,8 +152,8 @@ def test_what_a_branch_asks_for_first_is_there_behind_it_too(name):
     physics = make_physics(name, torque_limit=5.0, **robot)
 
     def branching(stages: Stages):
-        in_branch = jax.lax.cond(stages.qpos[0] > -1.0, lambda: stages.mass_matrix @ stages.qpos, lambda: stages.qpos)
-        return in_branch + stages.bias
+        now, qpos = stages.dynamics, stages.qpos
+        return jax.lax.cond(qpos[0] > -1.0, lambda: now()[0] @ qpos, lambda: qpos) + now()[1]
 
     world = physics.start(physics.qpos0, np.zeros(len(physics.qpos0)))
     jax.eval_shape(lambda world: physics.step(world, branching), world)
