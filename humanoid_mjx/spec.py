@@ -388,6 +388,10 @@ SENTENCES = {
 """Descriptions of the allowed values, by the type of pydantic's error."""
 
 
+ALTERNATIVES = "", "bool", "float", "int", "str"
+"""Parts of a place in pydantic's errors that are no keys but kinds of values; others have brackets."""
+
+
 def sentence(
     error: pydantic.ValidationError, where: str, model: type[pydantic.BaseModel] | None = None, command: str = ""
 ) -> str:
@@ -398,7 +402,7 @@ def sentence(
     first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
     fault: dict[str, Any] = {"ctx": {}} | dict(first)
     parts = [str(part) for part in (where, *fault["loc"])]
-    key = ".".join(part for part in parts if part != "" and "[" not in part)  # in brackets stand kinds, not keys
+    key = ".".join(part for part in parts if part not in ALTERNATIVES and "[" not in part)
     got = f", got {shown(fault['input'])}"
     match fault["type"]:
         case "float_type" | "int_type" if isinstance(fault["input"], (jax.Array, np.ndarray, np.generic)):

@@ -68,6 +68,8 @@ def test_it_drives_the_joints_of_a_task_and_is_data_of_its_program():
     ("values", "words"),
     [
         ({"name": "servo"}, "actuator.name: unknown actuator 'servo'; known are dc_motor, ideal"),
+        ({"name": "dc_motor", "gear": "fast"}, r"actuator\.gear must be a valid number, got 'fast'"),
+        ({"name": "dc_motor", "gear": [1.0, None]}, r"actuator\.gear must be a number, .* write sweep\.\S+\.gear\.$"),
         ({"name": "dc_motor", "gear": 0.0}, "actuator.gear must be positive, one number or 10, got 0.0"),
         ({"name": "dc_motor", "gear": [1.0, 2.0]}, "actuator.gear must be positive, one number or 10"),
         # At 135 the speed would fall by twice itself in a step: 135^2 (0.0136^2 / 7 + 1e-6) 0.004 s = 2 x 0.001 kg m^2.
