@@ -26,7 +26,7 @@ from humanoid_mjx.robot.description import BEND, STEPS, Robot, Servo, add_imu, a
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
 from humanoid_mjx.robot.motors import driven, motors_on, own_drives
-from humanoid_mjx.robot.touching import add_ground, any_of_rows, balls_of, soles_of, strip
+from humanoid_mjx.robot.touching import add_ground, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 OWN = re.compile(r"(package_)?ground|package_imu|.*_point\d+(_contact)?")
@@ -339,12 +339,8 @@ def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[Difference]]:
         raise InputError(f"model: a robot is one body with a free joint, and its child bodies; the bodies are: {there}")
     if fault := bad_timestep(spec.option.timestep):
         raise InputError(f"model: {fault}")
-    for field, wrong in mjcf.no_numbers(model):
-        kind, _, name = field.partition("_")
-        where = mjcf.element(model, kind, int(np.flatnonzero(any_of_rows(wrong))[0]))
-        raise InputError(f"model: the {name} of {where} must be {mjcf.A_NUMBER}")
-    if option := mjcf.option_no_number(model):
-        raise InputError(f"model: the option {option} must be {mjcf.A_NUMBER}")
+    for what, _ in mjcf.no_numbers(model):
+        raise InputError(f"model: {what} must be {mjcf.A_NUMBER}")
     if any("NaN" in words for words in noted):  # MuJoCo takes a mass of NaN for none
         raise InputError(f"model: {Path(file).name} holds a NaN; write a number in its place")
     notes = [Difference("MuJoCo warns", words, "") for words in dict.fromkeys((*noted, *warned))]

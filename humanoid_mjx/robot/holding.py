@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import eigh, null_space
 
-from humanoid_mjx.robot.description import Robot, ground_points
+from humanoid_mjx.robot.description import Robot, ground_points, two_digits
 
 SAG_DEG, SAGGED_DEG = 10.0, 5.0
 """Sag of a joint, degrees, above which gains are called too soft, and that of the gains that are named instead."""
@@ -39,12 +39,11 @@ class Standing:
             mujoco.mj_jacGeom(self.model, self.data, jacobian, None, ball)
         return found
 
-    def load(self, change: Float[np.ndarray, " nv"] | None = None) -> Float[np.ndarray, " nv"]:
+    def load(self, change: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
         """Return what the weight and the ground ask of each degree of freedom, after a small change from home."""
-        if change is not None:
-            self.data.qpos[:] = self.home
-            mujoco.mj_integratePos(self.model, self.data.qpos, change, 1.0)
-            mujoco.mj_forward(self.model, self.data)
+        self.data.qpos[:] = self.home
+        mujoco.mj_integratePos(self.model, self.data.qpos, change, 1.0)
+        mujoco.mj_forward(self.model, self.data)
         return self.data.qfrc_bias - self.forces @ self.jacobians()[:, 2]
 
 
@@ -54,7 +53,7 @@ def standing(robot: Robot) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarr
     state, model = Standing(robot), robot.model
     matrix, dofs = np.empty((model.nv, model.nv)), model.jnt_dofadr[robot.driven]
     mujoco.mj_fullM(model, state.data, matrix)
-    return np.abs(state.load()[dofs]), matrix[dofs, dofs]
+    return np.abs(state.load(np.zeros(model.nv))[dofs]), matrix[dofs, dofs]
 
 
 def tipping(robot: Robot) -> tuple[float, int]:
@@ -103,7 +102,7 @@ def in_words(robot: Robot) -> list[str]:
     if factor > MOST_FACTOR:
         lines.append("without a policy it tips over, however stiff it is: its feet carry it on a line, or a point")
     elif factor > 1:
-        stiffer = f"{float(f'{SURE * factor:.1e}'):g} times as stiff"
+        stiffer = f"{two_digits(SURE * factor):g} times as stiff"
         lines.append(f"without a policy it tips over; {stiffer} it would stand, {names[weakest]} counts most")
     if robot.steps > 1:
         lines.append(f"soft joints do not get as far as told: steps rise and sway {robot.steps:g} times as far")
@@ -113,7 +112,7 @@ def in_words(robot: Robot) -> list[str]:
     damped = np.maximum(RATIO * critical * np.sqrt(needed) - own, damping)
     groups = [robot.kinds == kind for kind in np.unique(robot.kinds[(sag > SAG_DEG) | (ratio < LEAST_RATIO)])]
     gains = (
-        ", ".join(f"{'|'.join(names[group])}: {float(f'{1.05 * values[group].max():.1e}'):g}" for group in groups)
+        ", ".join(f"{'|'.join(names[group])}: {two_digits(1.05 * values[group].max()):g}" for group in groups)
         for values in (needed, damped)  # to two digits, upwards
     )
     better = "stiffness: {{{}}}, damping: {{{}}}".format(*gains)

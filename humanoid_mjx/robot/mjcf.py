@@ -138,19 +138,30 @@ A_NUMBER = f"a number of at most {mujoco.mjMAXVAL:g}"
 """Sizes of numbers that MuJoCo simulates."""
 
 
-def no_numbers(model: mujoco.MjModel) -> Iterator[tuple[str, Any]]:
-    """Yield the fields of a model's elements that hold NaN, infinity or more than `A_NUMBER`, and a mask of these."""
+def no_numbers(model: mujoco.MjModel) -> Iterator[tuple[str, str]]:
+    """Yield the options, and the fields of elements, that hold NaN, infinity or more than `A_NUMBER`: in words, and the
+    field, which is empty for an option."""
+    for name in dir(model.opt):
+        if not name.startswith("_") and not (np.abs(getattr(model.opt, name)) <= mujoco.mjMAXVAL).all():
+            yield f"the option {name}", ""
     for field in dir(model):
         if field.partition("_")[0] in ELEMENTS and not FOLLOW.match(field):
             values = getattr(model, field)
             if getattr(values, "dtype", None) == np.float64 and not (fits := np.abs(values) <= mujoco.mjMAXVAL).all():
-                yield field, ~fits
+                yield of_field(model, field, ~fits), field
 
 
-def option_no_number(model: mujoco.MjModel) -> str | None:
-    """Return the name of an option of a model that is no `A_NUMBER`, if there is one."""
-    names = (name for name in dir(model.opt) if not name.startswith("_"))
-    return next((name for name in names if not (np.abs(getattr(model.opt, name)) <= mujoco.mjMAXVAL).all()), None)
+def of_field(model: mujoco.MjModel, field: str, wrong: Any) -> str:
+    """Return words for a field of the first of the elements where a mask is set, and how many these are; empty where it
+    is set nowhere."""
+    rows, (kind, _, name) = np.flatnonzero(any_of_rows(wrong)), field.partition("_")
+    count = f" ({len(rows)})" if len(rows) > 1 else ""
+    return f"the {name} of {element(model, kind, int(rows[0]))}{count}" if len(rows) else ""
+
+
+def any_of_rows(values: Any) -> np.ndarray:
+    """True for rows of the first axis in which something is not 0."""
+    return np.any(values, axis=tuple(range(1, np.ndim(values))))
 
 
 def element(m: mujoco.MjModel, kind: str, row: int) -> str:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from humanoid_mjx.robot.mjcf import PLAIN
+from humanoid_mjx.robot.mjcf import PLAIN, any_of_rows
 from humanoid_mjx.spec import InputError
 
 FLAGS, GEOM = mujoco.mjtDisableBit, mujoco.mjtGeom
@@ -117,11 +117,6 @@ def _mixed(m: mujoco.MjModel, one: np.ndarray, two: np.ndarray) -> Iterator[Any]
 def _any(m: mujoco.MjModel, kind: str, *names: str) -> np.ndarray:
     """True for elements where one of these fields is not 0."""
     return np.any([any_of_rows(getattr(m, f"{kind}_{name}")) for name in names], axis=0)
-
-
-def any_of_rows(values: Any) -> np.ndarray:
-    """True for rows of the first axis in which something is not 0."""
-    return np.any(values, axis=tuple(range(1, np.ndim(values))))
 
 
 def soles_of(model: mujoco.MjModel, feet: Sequence[str], chosen: Sequence[str]) -> list[Touching]:

@@ -137,13 +137,13 @@ def test_what_does_not_fit_is_said_with_file_and_key(keys, words, tmp_path):
         (
             'damping="',
             'frictionloss="inf" damping="',
-            "the frictionloss of joint 'FR_hip' must be a number of at most",
+            "the frictionloss of joint 'FR_hip' .12. must be a number of at most",
         ),
         ('mass="5.2"', 'mass="nan"', "dog.xml holds a NaN; write a number in its place"),
         (
             'damping="',
             'stiffness="1e300" damping="',
-            "the stiffness of joint 'FR_hip' must be a number of at most",
+            "the stiffness of joint 'FR_hip' .12. must be a number of at most",
         ),
         ("<motor ctrlrange=", "<motor user=", "torque: the model has no limit for FR_hip"),
         ('type="sphere"', 'type="cylinder"', "feet: FR_calf has a cylinder"),

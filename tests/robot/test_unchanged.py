@@ -231,7 +231,7 @@ def test_what_the_two_files_cannot_mean_is_said(pairs, yaml, words, tmp_path):
 
 
 def test_a_gain_that_is_no_number_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"robot.yaml: model: the biasprm of motor 0 of joint 'hip_0_0' must be a"):
+    with pytest.raises(InputError, match=r"robot.yaml: model: the biasprm of motor 0 of joint 'hip_0_0' .8. must be a"):
         elements = motors('<position J kp="80" kv="nan" forcerange="-20 20"/>')
         robot_of(tmp_path, elements, yaml=f"model: base.xml\n{HOME}{FEET}")
 

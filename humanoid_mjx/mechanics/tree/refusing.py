@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.robot.description import below
-from humanoid_mjx.robot.mjcf import A_NUMBER, element, no_numbers, option_no_number
-from humanoid_mjx.robot.touching import FLAGS, Touching, a, any_of_rows, kind_of, named, pairs_of, touching, word
+from humanoid_mjx.robot.mjcf import A_NUMBER, any_of_rows, no_numbers, of_field
+from humanoid_mjx.robot.touching import FLAGS, Touching, a, kind_of, named, pairs_of, touching, word
 
 JOINT = mujoco.mjtJoint
 
@@ -90,10 +90,8 @@ def robot_faults(m: mujoco.MjModel) -> list[Fault]:
         "actuator_forcerange": (limited & (m.actuator_forcerange.sum(axis=1) != 0), alike),
         "actuator_ctrllimited": (clamped & unclamped, 'clampctrl="enable"'),
     }
-    endless: Fields = {name: (mask, A_NUMBER) for name, mask in no_numbers(m)}
-    option = option_no_number(m)
-    odd = [Fault(f"the option {option}", A_NUMBER, "numbers")] if option else []
-    return odd + _of_fields(m, endless, "numbers") + _of_fields(m, motors)
+    odd = [Fault(what, A_NUMBER, "motors" if "actuator" in field else "numbers") for what, field in no_numbers(m)]
+    return odd + _of_fields(m, motors)
 
 
 Check = tuple[Any, str, str]
@@ -125,11 +123,8 @@ def _of_fields(m: mujoco.MjModel, fields: Fields, of: Any = "model") -> list[Fau
     found = []
     for field, entry in fields.items():
         wrong, change = (getattr(m, field, ()), entry) if isinstance(entry, str) else entry
-        rows, (kind, _, name) = np.flatnonzero(any_of_rows(wrong)), field.partition("_")
-        if len(rows):
-            count = f" ({len(rows)})" if len(rows) > 1 else ""
-            what = f"the {name} of {element(m, kind, int(rows[0]))}{count}"
-            found.append(Fault(what, change, "motors" if kind == "actuator" else of))
+        if what := of_field(m, field, wrong):
+            found.append(Fault(what, change, "motors" if "actuator" in field else of))
     return found
 
 
