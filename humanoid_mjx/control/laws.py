@@ -136,14 +136,9 @@ class GroundedLaw(ModelLaw):
 
 
 LAWS = {
-    "servo": "humanoid_mjx.control.laws:ServoLaw",
-    "robot_servo": "humanoid_mjx.control.laws:RobotServoLaw",
-    "pd": "humanoid_mjx.control.laws:PDLaw",
-    "partitioned_pd": "humanoid_mjx.control.laws:PartitionedPDLaw",
-    "computed_torque": "humanoid_mjx.control.laws:ComputedTorqueLaw",
-    "grounded": "humanoid_mjx.control.laws:GroundedLaw",
+    law.model_fields["name"].default: f"{__name__}:{law.__name__}"
+    for law in (ServoLaw, RobotServoLaw, PDLaw, PartitionedPDLaw, ComputedTorqueLaw, GroundedLaw)
 }
-
 
 make_law = partial(make, "control", LAWS, Law)
 """Build the law of a name, or a user's own given as "package.module:Class", with its parameters: see `make`."""
