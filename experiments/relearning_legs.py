@@ -54,7 +54,7 @@ class ChangedLeg(LegReach):
 
     def reset(self, key: Any) -> State:
         body = super().reset(key).data
-        low, high = self.simulator.joint_ranges.T
+        low, high = self.simulator.robot.ranges_rad.T
         goal, mass = low + (body.goal - low + self.upper * (high - low)) / 2, body.mass * self.load
         world = self._plant(mass).start(body.world.qpos, jnp.zeros(low.shape))
         body = body._replace(goal=goal, mass=mass, world=world)

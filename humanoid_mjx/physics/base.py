@@ -159,11 +159,6 @@ class Physics(Spec):
         raise NotImplementedError
 
     @property
-    def joint_ranges(self) -> Float[np.ndarray, "joints 2"]:
-        """rad"""
-        return self.robot.ranges_rad
-
-    @property
     def qpos0(self) -> Float[np.ndarray, " nq"]:
         """All joints at zero; a free robot stands."""
         raise NotImplementedError

@@ -17,11 +17,10 @@ from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
 from humanoid_mjx import compute
-from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.physics.base import Controller, Poses, Sensed, Velocities, World, freeze_if_diverged, where
 from humanoid_mjx.physics.model import MujocoPhysics
-from humanoid_mjx.robot.description import IMU, below
+from humanoid_mjx.robot.description import IMU, below, ground_points
 from humanoid_mjx.types import AnyArray
 
 with redirect_stdout(io.StringIO()):  # it prints two lines about warp
@@ -74,10 +73,7 @@ class MjxJax(MujocoPhysics):
         return jax.lax.scan(cycle, (world, nothing), length=cycles)[0]
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
-        model = self._put()
-        data = self._at(model, self._blank_data(), world)
-        data = data.replace(ctrl=self.controls_for(jnp.asarray(torque, float)), qfrc_applied=self.pushes())
-        return self._seen(_advance(model, data, sensed=True)[1])
+        return self._seen(self._cycle(self._put(), self._blank_data(), world, lambda _: torque, sensed=True)[1])
 
     def _seen(self, data: Any) -> Sensed:
         """Everything that a time step computes about its beginning."""
@@ -90,13 +86,12 @@ class MjxJax(MujocoPhysics):
         return self._sensed(*seen, self._normal_forces(data), self._torque(data))
 
     def _torque(self, data: Any) -> Float[Array, " joints"]:
-        scale = self._motor_scale
-        return data.ctrl if (scale == 1.0).all() else data.ctrl * scale
+        return data.ctrl * self._motor_scale
 
     def _normal_forces(self, data: Any) -> Float[Array, " points"]:
         """Normal forces on the corners of the feet, N. In jax they come from the solver, which costs less than MuJoCo's
         touch sensors."""
-        balls, _ = self.ground_points
+        balls, _ = ground_points(self.model)
         if self.implementation == "warp" or not len(balls):
             return self._read(data.sensordata, self.robot.point_sensors)
         contact = data._impl.contact
@@ -158,11 +153,10 @@ class MjxJax(MujocoPhysics):
             return dynamics(physics._at(physics._put(), data, world))
 
         def contacts() -> Contacts:
-            centers = data.geom_xpos[self.ground_points[0]]
+            centers = data.geom_xpos[ground_points(self.model)[0]]
             return self._contacts(centers, data.cdof, data.cdof_dot, data.qvel, data.subtree_com[1])
 
-        torque = controller(self._stages(world, partial(dynamics, data), of_other, contacts))
-        return limited(jnp.asarray(torque, float), self.torque_limits)
+        return self._within(controller(self._stages(world, partial(dynamics, data), of_other, contacts)))
 
 
 class MjxWarp(MjxJax):

@@ -8,9 +8,10 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from pydantic import Field, model_validator
 
+from humanoid_mjx.control.drives import limited
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of
 from humanoid_mjx.mechanics.terrain import Terrain
@@ -93,24 +94,19 @@ class MujocoPhysics(Physics):
         """Index of the same joints in `qvel`."""
         return places(self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]])
 
-    @property
-    def torque_limits(self) -> Float[AnyArray, " joints"]:
-        """Largest torque of each motor now, N m."""
-        return jnp.asarray(self.torque_limit, float) * motor_limits(self.model)
+    def _within(self, torque: Any) -> Float[AnyArray, " joints"]:
+        """The torques that the motors give of these, N m."""
+        factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
+        bounds = {own: factor * own for own in motor_limits(self.model).tolist()}
+        return limited(torque, [bounds[own] for own in motor_limits(self.model).tolist()])
 
     def controls_for(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
         """Return the motors' controls for these torques of their joints, N m."""
-        scale = self._motor_scale
-        return torque if (scale == 1.0).all() else torque / scale
+        return torque / self._motor_scale
 
     @property
     def _motor_scale(self) -> Float[np.ndarray, " joints"]:
         return self.model.actuator_gainprm[:, 0] * self.model.actuator_gear[:, 0]
-
-    @property
-    def ground_points(self) -> tuple[Int[np.ndarray, " points"], Bool[np.ndarray, "points nv"]]:
-        """The balls of the feet that can touch the ground, z = 0: their geoms, and which velocities move them."""
-        return ground_points(self.model)
 
     def mass_factors(self, mass: MassFactor) -> Float[AnyArray, " bodies"]:
         """The factor on each body's mass and inertia. Factors of links leave the torso as it is."""
@@ -166,7 +162,7 @@ class MujocoPhysics(Physics):
 
     def _corners(self, poses: Poses) -> tuple[Any, Any]:
         """The bodies of the feet's corners, and the way from there to the corners' lowest points, m, world."""
-        balls, _ = self.ground_points
+        balls, _ = ground_points(self.model)
         link = self.model.geom_bodyid[balls]
         return link, lowest(
             self.model, jnp.einsum("pij,pj->pi", poses.rotation[link], jnp.asarray(self.model.geom_pos[balls], float))
@@ -181,7 +177,7 @@ class MujocoPhysics(Physics):
         origin: Float[AnyArray, "3"],
     ) -> Contacts:
         """The corners of the feet from the middles of their balls and MuJoCo's spatial motions about `origin`."""
-        _, moved_by = self.ground_points
+        _, moved_by = ground_points(self.model)
         position = lowest(self.model, centers)
         jacobian = jacobian_of(position, moved_by, cdof, origin)
         speeds = jnp.where(moved_by, qvel, 0.0)

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Sequence
 from copy import copy
 from functools import lru_cache, partial
+from itertools import product
 from typing import Any, ClassVar
 
 import jax
@@ -19,14 +20,13 @@ from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
 from humanoid_mjx.compute import cores
-from humanoid_mjx.control.drives import limited
 from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.physics.terrain import add_terrain, follow
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.robot.description import IMU, below, sensing_spec
+from humanoid_mjx.robot.description import IMU, below, ground_points, sensing_spec
 from humanoid_mjx.robot.mjcf import checked, heard, name_bodies
 from humanoid_mjx.robot.touching import FLAGS
 from humanoid_mjx.types import AnyArray
@@ -69,8 +69,7 @@ class Native(MujocoPhysics):
         return world, self._seen(*seen)
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
-        torque = jnp.asarray(torque, float)
-        return self._seen(world.qpos, torque, self._moved(world, torque, sensed=True)[-1])
+        return self._seen(world.qpos, *self._cycle(world, lambda _: torque, sensed=True)[1:])
 
     def _cycle(self, world: World, controller: Controller, sensed: bool) -> tuple[World, Array, Array]:
         """Return the world after a time step, the torque that acted, and the sensors' readings before it."""
@@ -81,7 +80,7 @@ class Native(MujocoPhysics):
             return self._contacts(centers, cdof, cdof_dot, world.qvel, origin)
 
         stages = self._stages(world, lambda: motion()[:2], lambda other: other._motion(world)[:2], contacts)
-        torque = limited(jnp.asarray(controller(stages), float), self.torque_limits)
+        torque = self._within(controller(stages))
         qpos, qvel, warmstart, sensordata = self._moved(world, torque, sensed)
         return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque, sensordata
 
@@ -122,7 +121,7 @@ class Native(MujocoPhysics):
 
     def _motion(self, world: World) -> tuple[Any, ...]:
         """Mass matrix and bias, and what the contacts follow from (`_contacts`)."""
-        nv, points = self.model.nv, len(self.ground_points[0])
+        nv, points = self.model.nv, len(ground_points(self.model)[0])
         shapes = (nv, nv), (nv,), (points, 3), (nv, 6), (nv, 6), (3,)
         return tuple(_on_host(self._look, shapes, self._values(), world.qpos, world.qvel))
 
@@ -157,7 +156,7 @@ class Native(MujocoPhysics):
 
     def _look(self, values: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the results of `_motion` for each world."""
-        rows, corners = [], self.ground_points[0]
+        rows, corners = [], ground_points(self.model)[0]
         team = _team(self.robot, self.timestep, jax.tree.structure(self.terrain))
         data = team.data[0]
         for i, row in enumerate(values):
@@ -219,18 +218,20 @@ class _Team:
         """The robot on ground of this shape, with `FRAMES` on every body, behind its own sensors."""
         with jax.ensure_compile_time_eval():
             spec = sensing_spec(self._robot, self._timestep)
-            name_bodies(spec)
-            for kind in FRAMES:
-                for body in spec.bodies:
-                    spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)
+            add_frames(spec)
             if terrain is not None and terrain.shaped:
                 add_terrain(spec, terrain)
             return checked(spec.compile)[0]
 
 
-@lru_cache
-def _team(robot: Robot, timestep: float | None, terrain: Any) -> _Team:
-    return _Team(robot, timestep, terrain)
+_team = lru_cache(_Team)
+
+
+def add_frames(spec: mujoco.MjSpec) -> None:
+    """Add sensors of `FRAMES` to every body, kind by kind."""
+    name_bodies(spec)
+    for kind, body in product(FRAMES, spec.bodies):
+        spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name)
 
 
 def _on_host(

@@ -18,7 +18,6 @@ from pydantic import model_validator
 
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.compute.ways import ways
-from humanoid_mjx.control.drives import limited
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.kernels import fallback
 from humanoid_mjx.kernels.worlds import one_kernel, one_world
@@ -32,7 +31,6 @@ from humanoid_mjx.mechanics.tree.structure import Tree
 from humanoid_mjx.physics.base import MAX_SPEED, Controller, Once, Poses, Sensed, Velocities, World
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, ground_points
-from humanoid_mjx.robot.motors import motor_limits
 from humanoid_mjx.types import AnyArray, BoolScalar
 
 UNROLL, WHOLE = 4, 10
@@ -92,7 +90,7 @@ class TreePhysics(MujocoPhysics):
 
     def _nothing(self) -> tuple[Any, ...]:
         """Return zeros in the shapes of what is sensed, for the start of a loop."""
-        bodies, points, joints = self.model.nbody, len(self.ground_points[0]), len(self.tree.motors)
+        bodies, points, joints = self.model.nbody, len(ground_points(self.model)[0]), len(self.tree.motors)
         shapes = (bodies, 3), (bodies, 3, 3), (bodies, 3), (bodies, 3), (points,)
         sensors = (3 * len(self.tree.gyroscopes),), (3 * len(self.tree.accelerometers),)
         return jnp.zeros(joints), jnp.zeros(joints), tuple(jnp.zeros(shape) for shape in (*sensors, *shapes))
@@ -116,11 +114,6 @@ class TreePhysics(MujocoPhysics):
         tree = self.tree
         move = one_kernel(function, tree, lanes=tree.lanes) if _kernels_run() else one_world(function, tree)
         return move(self._values(), tuple(world), *given)
-
-    def _within(self, torque: Any) -> Float[Array, " joints"]:
-        factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
-        bounds = {own: factor * own for own in motor_limits(self.model).tolist()}
-        return limited(torque, [bounds[own] for own in motor_limits(self.model).tolist()])
 
     def _unroll(self, controller: Controller, cycles: int) -> int:
         """Time steps in one pass of a loop; one where the controller is long to compile, and on a CPU."""
@@ -154,7 +147,7 @@ class TreePhysics(MujocoPhysics):
             position, (spin, rate, linear) = poses[0][link] + arm, jnp.unstack(drifts[link], axis=1)
             drift = linear + jnp.cross(rate, arm) + jnp.cross(spin, jnp.cross(spin, arm))
             origin = world.qpos[:3] if self.free else np.zeros(3)
-            jacobian = jacobian_of(position, self.ground_points[1], motion, origin)
+            jacobian = jacobian_of(position, ground_points(self.model)[1], motion, origin)
             return Contacts(position, jacobian, drift, position[:, 2] <= 0.0)
 
         return self._within(

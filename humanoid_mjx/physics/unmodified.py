@@ -7,7 +7,6 @@ early depends on the exact warm start, which `mujoco.rollout` does not return.
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from itertools import product
 from typing import Any, ClassVar
 
 import jax
@@ -17,10 +16,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from humanoid_mjx.physics.base import Sensed, World
-from humanoid_mjx.physics.native import FRAMES, Native, _Team
+from humanoid_mjx.physics.native import Native, _Team, add_frames
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.robot.description import IMU
-from humanoid_mjx.robot.mjcf import checked, name_bodies
+from humanoid_mjx.robot.mjcf import checked
 from humanoid_mjx.robot.motors import controls_of
 from humanoid_mjx.robot.touching import GROUND, word
 from humanoid_mjx.spec import InputError
@@ -147,9 +146,7 @@ class _File(_Team):
         kinds, sensor = mujoco.mjtObj, mujoco.mjtSensor
         with jax.ensure_compile_time_eval():
             spec, self.key = self._robot.in_file()
-            name_bodies(spec)
-            for kind, body in product(FRAMES, spec.bodies):
-                spec.add_sensor(type=kind, objtype=kinds.mjOBJ_XBODY, objname=body.name)
+            add_frames(spec)
             for foot in self._robot.feet:
                 both = {"objtype": kinds.mjOBJ_BODY, "objname": foot, "reftype": kinds.mjOBJ_BODY, "refname": "world"}
                 spec.add_sensor(type=sensor.mjSENS_CONTACT, intprm=FORCES, **both)
@@ -158,6 +155,4 @@ class _File(_Team):
             return checked(spec.compile)[0]
 
 
-@lru_cache
-def _file(robot: Robot) -> _File:
-    return _File(robot)
+_file = lru_cache(_File)

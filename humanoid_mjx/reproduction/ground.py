@@ -26,7 +26,7 @@ from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages, World
 from humanoid_mjx.report.rendering import draw
 from humanoid_mjx.reproduction.findings import Setting
-from humanoid_mjx.robot.description import lowest
+from humanoid_mjx.robot.description import ground_points, lowest
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import AnyArray, IntScalar
 
@@ -334,7 +334,7 @@ def inside_support(
 
 def foot_corners(qpos: Float[AnyArray, "times nq"]) -> Float[np.ndarray, "times corners 3"]:
     """The lowest points of the feet's corners in recorded postures, m, outside jax; where z <= 0 they touch."""
-    model, (balls, _) = physics().model, physics().ground_points
+    model, (balls, _) = physics().model, ground_points(physics().model)
     data, found = mujoco.MjData(model), np.empty((len(qpos), len(balls), 3))
     for row, posture in zip(found, qpos, strict=True):
         data.qpos = posture

@@ -111,7 +111,7 @@ class LegReach(ContinuousTask):
         return _simulator(self.physics, self.ranges, self.timestep)
 
     def reset(self, key: Key[Array, ""]) -> State:
-        low, high = self.simulator.joint_ranges.T
+        low, high = self.simulator.robot.ranges_rad.T
         start_key, goal_key, mass_key = jax.random.split(key, 3)
         start, goal = (jax.random.uniform(key, low.shape, minval=low, maxval=high) for key in (start_key, goal_key))
         mass = 1.0 + self.model_error * jax.random.uniform(mass_key, low.shape, minval=-1.0)
@@ -143,12 +143,12 @@ class LegReach(ContinuousTask):
         """Return the set-point after moves of `command` times `increment`, rad."""
         qpos = body.world.qpos
         moved = body.setpoint + jnp.radians(self.increment) * jnp.clip(command, -1.0, 1.0)
-        low, high = self.simulator.joint_ranges.T
+        low, high = self.simulator.robot.ranges_rad.T
         return jnp.clip(jnp.clip(moved, qpos - LEAD, qpos + LEAD), low - LEAD, high + LEAD)
 
     def observe(self, body: Body) -> Float[Array, " observation_size"]:
         """`OBSERVATIONS`, of each joint, within -1 to 1."""
-        low, high = self.simulator.joint_ranges.T
+        low, high = self.simulator.robot.ranges_rad.T
         qpos, qvel = body.world.qpos, body.world.qvel
         error = body.goal - qpos
         lead = body.setpoint - qpos

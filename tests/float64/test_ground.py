@@ -12,6 +12,7 @@ from humanoid_mjx.control import at_rest, grounded_torque, make_law
 from humanoid_mjx.control.ground import constrained_dynamics, eliminate
 from humanoid_mjx.control.stages import Stages
 from humanoid_mjx.physics import make_physics
+from humanoid_mjx.robot.description import ground_points
 
 FREE = make_physics("mjx-jax", robot={"ranges": "human"})
 NATIVE = make_physics("mujoco", robot={"ranges": "human"})
@@ -43,7 +44,7 @@ def test_contacts_are_mujocos(seed):
     """Their places, which of them touch, their Jacobian and its rate."""
     qpos, qvel = random_state(seed)
     model, data = FREE.model, mujoco.MjData(FREE.model)
-    balls, _ = FREE.ground_points
+    balls, _ = ground_points(FREE.model)
     data.qpos, data.qvel = qpos, qvel
     mujoco.mj_kinematics(model, data)
     qpos[2] -= np.median(data.geom_xpos[balls, 2])

@@ -32,7 +32,7 @@ def test_accelerations_in_the_air_agree(both):
     mjx, step, native_step = both
     rng = np.random.default_rng(0)
     qpos, qvel = np.tile(mjx.qpos0, (32, 1)), 3.0 * rng.normal(size=(32, 16))
-    qpos[:, 2], qpos[:, 7:] = 1.0, rng.uniform(*mjx.joint_ranges.T, (32, 10))
+    qpos[:, 2], qpos[:, 7:] = 1.0, rng.uniform(*mjx.robot.ranges_rad.T, (32, 10))
     target = qpos[:, 7:] + rng.uniform(-0.3, 0.3, (32, 10))
     world = start(mjx, qpos, qvel)
     (moved, torque), (expected, expected_torque) = step(world, target), native_step(world, target)

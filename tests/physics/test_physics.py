@@ -13,7 +13,7 @@ from standing import MJX, NATIVE, hold, standing
 
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.base import Stages
-from humanoid_mjx.robot.description import below
+from humanoid_mjx.robot.description import below, ground_points
 from humanoid_mjx.spec import InputError
 
 sense = jax.jit(jax.vmap(MJX.sense))
@@ -68,7 +68,7 @@ def test_the_corners_of_the_feet_move_as_the_bodies_do(worlds):
     qvel = np.random.default_rng(0).normal(size=worlds.qvel.shape).astype(np.float32)
     worlds = worlds._replace(qvel=jnp.asarray(qvel))
     contacts = sense(worlds, jnp.zeros((len(qvel), 10))).contacts
-    model, links = MJX.model, MJX.model.geom_bodyid[MJX.ground_points[0]]
+    model, links = MJX.model, MJX.model.geom_bodyid[ground_points(MJX.model)[0]]
     data, jacobian = mujoco.MjData(model), np.zeros((3, model.nv))
     for world in range(len(qvel)):
         data.qpos, data.qvel = worlds.qpos[world], qvel[world]

@@ -44,7 +44,7 @@ def test_set_points_at_the_goal_reach_it_where_the_model_is_right_and_only_there
 def test_starts_goals_and_masses_are_drawn_from_their_ranges():
     task = make_task("leg_reach")
     state, _, _ = begin(task)
-    low, high = task.simulator.joint_ranges.T
+    low, high = task.simulator.robot.ranges_rad.T
     for drawn in (state.data.world.qpos, state.data.goal):
         assert (drawn >= low - 1e-6).all() and (drawn <= high + 1e-6).all()
         assert (np.ptp(drawn, axis=0) > 0.8 * (high - low)).all()
