@@ -135,9 +135,8 @@ class ChainPhysics(Physics):
             matrices, biases = zip(*parts, strict=True)
             return jax.scipy.linalg.block_diag(*matrices), jnp.concatenate(biases)
 
-        nothing = no_contacts(len(world.qvel))
-        own = Once(partial(model_for, self.mass))
-        return Stages(world.qpos, world.qvel, own, lambda: nothing, model_for, slice(None), inverse_dynamics)
+        own, nothing = Once(partial(model_for, self.mass)), partial(no_contacts, len(world.qvel))
+        return Stages(world.qpos, world.qvel, own, nothing, model_for, slice(None), inverse_dynamics)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""

@@ -1,8 +1,6 @@
 # pyright: reportAttributeAccessIssue=false
 """MuJoCo MJX: physics inside compiled jax programs. Only this module touches what is private to MJX."""
 
-import importlib
-import importlib.util
 import io
 from contextlib import redirect_stdout
 from copy import copy
@@ -21,6 +19,7 @@ from humanoid_mjx.mechanics.contacts import Contacts
 from humanoid_mjx.physics.base import Controller, Poses, Sensed, Velocities, World, freeze_if_diverged, where
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, below, ground_points
+from humanoid_mjx.spec import package
 from humanoid_mjx.types import AnyArray
 
 with redirect_stdout(io.StringIO()):  # it prints two lines about warp
@@ -68,8 +67,7 @@ class MjxJax(MujocoPhysics):
             now = self._seen(data)
             return (new, where(new.diverged, before, now)), None
 
-        shapes = jax.eval_shape(lambda: self._seen(blank))
-        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+        nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(lambda: self._seen(blank)))
         return jax.lax.scan(cycle, (world, nothing), length=cycles)[0]
 
     def sense(self, world: World, torque: Float[AnyArray, " joints"]) -> Sensed:
@@ -174,11 +172,9 @@ class MjxWarp(MjxJax):
 
     @model_validator(mode="after")
     def _installed(self) -> "MjxWarp":
-        if importlib.util.find_spec("warp") is None:
-            raise ValueError("mjx-warp needs the package warp-lang, which is not installed")
+        warp = package("warp", "cuda", "mjx-warp")
         if jax.config.jax_enable_x64:
             raise ValueError("mjx-warp computes in float32 only, but jax_enable_x64 is set")
-        warp = importlib.import_module("warp")
         warp.config.log_level = warp.LOG_WARNING
         return self
 

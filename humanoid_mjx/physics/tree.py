@@ -208,7 +208,7 @@ def _advance_sensed(
         found = sensing.sensed(tree, tree.gravity if values.gravity is None else values.gravity, *step)
         return tuple(jnp.broadcast_to(x, (*jnp.shape(x)[:-1], *last.shape)) for x in found)
 
-    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(seen))
+    nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(seen))
     return parts, jax.lax.cond(last.any(), seen, lambda: nothing)
 
 

@@ -120,7 +120,7 @@ def test_a_push_on_the_torso_gives_its_impulse(physics):
         ("mujoco", {"robot": {"ranges": "wide"}}, "physics.robot.ranges must be one of 'proposed' or 'human', "),
         ("mjx-jax", {"timestep": 0.0}, "physics.timestep must be at least 1e-06, got 0.0."),
         ("mjx-jax", {"step": 0.1}, "physics.step: unknown key; did you mean 'timestep'? known are damping, friction, "),
-        ("mjx-warp", {}, "physics: mjx-warp needs the package warp-lang, which is not installed."),
+        ("mjx-warp", {}, "physics: mjx-warp needs the package warp; pip install 'humanoid-mjx[cuda]' brings it."),
     ],
 )
 def test_bad_input_gets_a_sentence(name, options, sentence):
