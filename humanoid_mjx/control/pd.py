@@ -3,13 +3,12 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from humanoid_mjx.mechanics.dynamics import Integrator, State, mass_matrix_and_bias
+from humanoid_mjx.mechanics.dynamics import Integrator, Joints, State, mass_matrix_and_bias
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.types import AnyArray, FloatScalar
 
-Joints = Float[Array, " joints"]
 Gain = FloatScalar | Float[AnyArray, " joints"]
 """A gain for all joints, or one for each."""
 

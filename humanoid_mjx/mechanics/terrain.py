@@ -79,7 +79,8 @@ class Terrain(Spec):
 
     def step(self, x: Any, y: Any, lib: Any = jnp) -> Any:
         """Number of the step."""
-        return lib.floor(self._along(x, y, lib) / self.width)
+        toward_x, toward_y = self._rising(lib)
+        return lib.floor((toward_x * x + toward_y * y) / self.width)
 
     def level(self, x: Any, y: Any) -> Any:
         """Height of the ground, m, at places of a world whose z axis points against gravity."""
@@ -114,7 +115,7 @@ class Terrain(Spec):
         z, (toward_x, toward_y) = z - height, self._rising(jnp)
         distance, level, steep = z, 0.0, 1.0
         if self.stairs is not None:
-            along = self._along(x, y, jnp)
+            along = toward_x * x + toward_y * y
             riser = jnp.floor(along / self.width + 0.5)
             over = z - (riser if upper else riser - 1.0) * self.stairs
             beside = (riser * self.width - along) if upper else (along - riser * self.width)
@@ -134,10 +135,6 @@ class Terrain(Spec):
 
     def _rising(self, lib: Any) -> tuple[Any, Any]:
         return lib.cos(lib.radians(self.direction)), lib.sin(lib.radians(self.direction))
-
-    def _along(self, x: Any, y: Any, lib: Any) -> Any:
-        toward_x, toward_y = self._rising(lib)
-        return toward_x * x + toward_y * y
 
     def waves(self, x: Any, y: Any, lib: Any) -> tuple[Any, Any, Any]:
         """Height of the waves, and its derivatives by x and y."""
