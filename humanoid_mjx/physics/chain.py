@@ -25,7 +25,6 @@ from humanoid_mjx.mechanics.rotations import angular_velocity
 from humanoid_mjx.physics.base import (
     Controller,
     GroundContacts,
-    Once,
     Physics,
     Poses,
     Readings,
@@ -135,8 +134,8 @@ class ChainPhysics(Physics):
             matrices, biases = zip(*parts, strict=True)
             return jax.scipy.linalg.block_diag(*matrices), jnp.concatenate(biases)
 
-        own, nothing = Once(partial(model_for, self.mass)), partial(no_contacts, len(world.qvel))
-        return Stages(world.qpos, world.qvel, own, nothing, model_for, slice(None), inverse_dynamics)
+        own, contacts = partial(model_for, self.mass), partial(no_contacts, len(world.qvel))
+        return Stages(world.qpos, world.qvel, own, contacts, model_for, slice(None), inverse_dynamics)
 
     def _each_leg(self, mass: MassFactor, *joints: Float[Array, " joints"]) -> list[tuple[Any, ...]]:
         """For each leg: its chain, and its own part of the arrays."""
