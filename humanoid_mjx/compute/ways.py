@@ -28,8 +28,28 @@ class Ways(NamedTuple):
     """How many networks train side by side changes their last bits, so that a plan fixes it."""
 
 
-CPU = Ways(1024, False, True, False, False, False, False, True, True)
-OTHERS = Ways(32_768, True, False, True, True, True, True, False, False)
+CPU = Ways(
+    worlds=1024,
+    steps_unrolled=False,
+    resets_apart=True,
+    additions_apart=False,
+    short_numbers=False,
+    columns_filled=False,
+    loss_by_parts=False,
+    devices_share_runs=True,
+    width_rounds=True,
+)
+OTHERS = Ways(
+    worlds=32_768,
+    steps_unrolled=True,
+    resets_apart=False,
+    additions_apart=True,
+    short_numbers=True,
+    columns_filled=True,
+    loss_by_parts=True,
+    devices_share_runs=False,
+    width_rounds=False,
+)
 
 
 def ways() -> Ways:
