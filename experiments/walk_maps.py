@@ -82,7 +82,7 @@ def _upright(arithmetic: Any, program: Any) -> Callable[..., jax.Array]:
     """(learners, policies, keys) -> (worlds, seeds, episodes) whether the bodies stay up."""
 
     def one(learner: Learner, policy: Any, key: jax.Array) -> jax.Array:
-        return rollout(learner.env, greedy(learner, policy), key).success
+        return rollout(learner.env, greedy(learner, policy), key)[0].success
 
     for axes in ((None, None, 0), (None, 0, None), (0, None, None)):
         one = jax.vmap(one, in_axes=axes)
