@@ -326,11 +326,6 @@ def public_robots(ships: bool = True) -> str:
     return table(f"robot | config | card | s | upright, five seeds, % | {moves} | {falls} | {own}", rows)
 
 
-def public_robots_tried() -> str:
-    """Return how they walked in other trials."""
-    return public_robots(ships=False)
-
-
 def _on_cards(config: str, cards: int) -> str:
     """Return how many times as fast as on one card a sweep trains on several."""
     found = {row["cards"]: row["first"] for row in record("h200_scaling")["rows"] if row["config"] == config}
@@ -625,7 +620,6 @@ TABLES = {
         other_robots_taken,
         unmodified,
         public_robots,
-        public_robots_tried,
         scaling,
         faster_than_mjx,
     )
@@ -636,6 +630,7 @@ TABLES = {
     "cluster_start": lambda: rounded(record("scheduler")["start_s"]),
     "cluster_chunk": lambda: rounded(record("scheduler")["rows"][0]["chunk_s"]),
     "exactness": lambda: f"{max(r[k] for r in record('own_robots')['rows'] for k in ('acceleration', 'velocity')):.1e}",
+    "public_robots_tried": lambda: public_robots(ships=False),
     "one_task": lambda: sweeps(ONE_TASK),
     "rates": lambda: sweeps(RATES),
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),

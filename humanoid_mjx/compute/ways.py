@@ -6,25 +6,25 @@ import jax
 
 
 class Ways(NamedTuple):
-    """What is the faster of two ways to compute the same, and how much is computed at a time."""
+    """What is the faster of two ways to compute the same, and how much is computed at a time; by default on a GPU."""
 
-    worlds: int
+    worlds: int = 32_768
     """Largest number of worlds to move side by side: more gain nothing, and fewer report sooner."""
-    steps_unrolled: bool
+    steps_unrolled: bool = True
     """The time steps of a decision follow each other in one pass of a loop."""
-    resets_apart: bool
+    resets_apart: bool = False
     """The episodes that end begin anew by themselves, and not all with a choice."""
-    additions_apart: bool
+    additions_apart: bool = True
     """Additions to an array are a kernel of their own: in one with what they add, the array would be copied first."""
-    short_numbers: bool
+    short_numbers: bool = True
     """Products of matrices take bfloat16 where they may."""
-    columns_filled: bool
+    columns_filled: bool = True
     """Matrices are filled up to a number of columns that the device likes."""
-    loss_by_parts: bool
+    loss_by_parts: bool = True
     """The loss of a batch is that of its parts, side by side."""
-    devices_share_runs: bool
+    devices_share_runs: bool = False
     """Several devices may train one run, where there are fewer runs."""
-    width_rounds: bool
+    width_rounds: bool = False
     """How many networks train side by side changes their last bits, so that a plan fixes it."""
 
 
@@ -39,19 +39,8 @@ CPU = Ways(
     devices_share_runs=True,
     width_rounds=True,
 )
-OTHERS = Ways(
-    worlds=32_768,
-    steps_unrolled=True,
-    resets_apart=False,
-    additions_apart=True,
-    short_numbers=True,
-    columns_filled=True,
-    loss_by_parts=True,
-    devices_share_runs=False,
-    width_rounds=False,
-)
 
 
 def ways() -> Ways:
     """Return the ways of jax's default backend."""
-    return CPU if jax.default_backend() == "cpu" else OTHERS
+    return CPU if jax.default_backend() == "cpu" else Ways()

@@ -213,9 +213,11 @@ def make_declared(name: str, **values: Any) -> Declared:
     values = source.values | values | {"name": name if is_shipped(name) else str(path)}
     try:
         robot = Declared.model_validate(values)
+        if stored or {"shares", "steps"} <= values.keys():
+            return robot
         from humanoid_mjx.robot.holding import softness  # scipy.linalg is slow to import
 
-        if stored or {"shares", "steps"} <= values.keys() or (factor := softness(robot)) <= 1:
+        if (factor := softness(robot)) <= 1:
             return robot
         kinds = len(set(robot.kinds.tolist()))
         reach = {"shares": (two_digits(factor**REACH),) * kinds, "steps": two_digits(factor**LIFT)}

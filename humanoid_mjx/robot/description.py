@@ -259,6 +259,8 @@ IMU = "gyroscope", "accelerometer"
 @lru_cache
 def compiled(robot: Robot, timestep: float | None) -> mujoco.MjModel:
     """The robot's model with this time step, s; also within jit."""
+    if (plain := robot.model_copy(update={"shares": (), "steps": 1.0})) != robot:
+        return compiled(plain, timestep)  # these are no part of the model
     with jax.ensure_compile_time_eval():
         return checked(sensing_spec(robot, timestep).compile)[0]
 
