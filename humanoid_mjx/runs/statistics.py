@@ -90,21 +90,6 @@ def profile(values: Num[np.ndarray, " runs"], marks: Num[np.ndarray, " marks"]) 
     return np.mean(np.asarray(values)[:, None] > marks, axis=0)
 
 
-def above(one: Num[np.ndarray, " n"], other: Num[np.ndarray, " m"]) -> float:
-    """The probability that independent runs alike separate so far with `one` above: Mann and Whitney's test, exact."""
-    from scipy import stats  # takes as long to import as all of this package
-
-    exact: Any = stats.PermutationMethod(n_resamples=9_999, rng=np.random.default_rng(0))
-    return float(stats.mannwhitneyu(one, other, alternative="greater", method=exact).pvalue)
-
-
-def holm(probabilities: Num[np.ndarray, " tests"]) -> Float[np.ndarray, " tests"]:
-    """The probabilities of several tests, corrected for their number (S. Holm, 1979)."""
-    order, count = np.argsort(probabilities), len(probabilities)
-    raised = np.maximum.accumulate(np.asarray(probabilities)[order] * (count - np.arange(count)))
-    return np.minimum(raised[np.argsort(order)], 1.0)
-
-
 def not_worse(values: Float[np.ndarray, "points seeds"], error: float = ERROR) -> Bool[np.ndarray, " points"]:
     """The points that are not worse than the best: the model confidence set (P. Hansen et al., 2011).
 

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
+from chapter_8_verdicts import above, holm
 from scipy import stats
 
 from humanoid_mjx.runs.ranking import best_table, compared, find_levels, in_words, ranked
 from humanoid_mjx.runs.statistics import (
-    above,
     difference,
     estimate,
-    holm,
     importance,
     importance_of_drawn,
     improvement,
