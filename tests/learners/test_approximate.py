@@ -28,8 +28,7 @@ from humanoid_mjx.learners.acting import start_all, step_all
 from humanoid_mjx.learners.approximate import Batch, lambda_targets
 from humanoid_mjx.learners.base import ENVS
 from humanoid_mjx.learners.deep import DeepQ, QNetwork
-from humanoid_mjx.learners.features import Scale, combined, tile_coding
-from humanoid_mjx.learners.linear import LinearQ
+from humanoid_mjx.learners.linear import LinearQ, Scale, combined, tile_coding
 from humanoid_mjx.learners.normalisation import moments, normalise, observe
 from humanoid_mjx.tasks.continuous import ContinuousTask, auto_reset
 from humanoid_mjx.training import pool
