@@ -14,9 +14,8 @@ from tree_robots import HOPPER, PLANAR, SHAPES, converged, states
 
 from humanoid_mjx.kernels import cpu_kernel as kernels
 from humanoid_mjx.kernels import worlds
-from humanoid_mjx.kernels.angles import cosine, sine
 from humanoid_mjx.kernels.cpu_kernel import cpu_kernel
-from humanoid_mjx.kernels.elements import inverse_of_erf
+from humanoid_mjx.kernels.elements import cosine, inverse_of_erf, sine
 from humanoid_mjx.kernels.gpu_kernel import gpu_kernel
 from humanoid_mjx.kernels.worlds import one_world
 from humanoid_mjx.mechanics.terrain import Terrain
