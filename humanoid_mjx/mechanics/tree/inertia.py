@@ -1,4 +1,5 @@
-"""The mass matrix of a tree by composite bodies, and equations that have its sparsity.
+"""The mass matrix of a tree by composite bodies, and equations that have its sparsity; bias forces, velocity terms and
+gravity, by Newton and Euler's recursion.
 
 See R. Featherstone, "Rigid Body Dynamics Algorithms" (2008): chapter 6 for the matrix, section 6.5 for the factors.
 """
@@ -14,6 +15,8 @@ from humanoid_mjx.mechanics.tree.algebra import (
     block,
     cross,
     dot,
+    force_at,
+    joined,
     numbers,
     over_lanes,
     stacked,
@@ -174,3 +177,59 @@ def product(tree: Tree, matrix: Matrix, x: Sequence[Any]) -> list[Any]:
             found[other] = found[other] + (over_lanes(tree, part) if tree.laned(row) > tree.laned(other) else part)
         found[row] = found[row] + (entries * stacked([x[other] for other in (*above, row)])).sum(axis=0)
     return found
+
+
+class Drift(NamedTuple):
+    """Acceleration of a body while no degree of freedom accelerates."""
+
+    angular: Any
+    """Its angular velocity, rad/s."""
+    rate: Any
+    """Its angular acceleration."""
+    linear: Any
+    """The acceleration of its own origin."""
+
+    def at(self, arm: Any) -> Any:
+        """The acceleration of its point at `arm` from its origin."""
+        return self.linear + (cross(self.rate, arm) + cross(self.angular, cross(self.angular, arm)))
+
+    def moved(self, old: Any, new: Any) -> "Drift":
+        """The drift about another origin."""
+        return self if new is old else self._replace(linear=self.at(new - old))
+
+
+def drifts_of(tree: Tree, kinematics: Kinematics, velocity: Sequence[Any]) -> list[Drift]:
+    """The drift of each body. `velocity` has the free body's angular part in the world's axes."""
+    still = Drift(*np.zeros((3, 3, 1, 1)))
+    found = [still]
+    for index, body in enumerate(tree.bodies[1:], 1):
+        if index == tree.free:
+            found.append(still._replace(angular=stacked(velocity[3:6])))
+            continue
+        now, place = found[body.parent], kinematics.poses[body.parent].position
+        for joint in body.joints:
+            anchor, turning = kinematics.anchors[joint.dof], velocity[joint.dof] * kinematics.motions[joint.dof]
+            now = now.moved(place, anchor)
+            if joint.slides:
+                now = now._replace(linear=now.linear + 2.0 * cross(now.angular, turning[:3]))
+            else:
+                rate = now.rate + cross(now.angular, turning[3:])
+                now = Drift(now.angular + turning[3:], rate, now.linear)
+            place = anchor
+        found.append(now.moved(place, kinematics.poses[index].position))
+    return found
+
+
+def bias_forces(
+    tree: Tree, kinematics: Kinematics, masses: Sequence[Mass], drifts: Sequence[Drift], gravity: Any
+) -> list[Any]:
+    """Forces of the degrees of freedom with which none of them accelerates, N and N m."""
+    each = enumerate(zip(masses, drifts[1:], strict=True), 1)
+    return felt_forces(tree, kinematics, {index: _wrench(*both, gravity) for index, both in each})
+
+
+def _wrench(mass: Mass, drift: Drift, gravity: Any) -> Any:
+    """Force that a body's inertia and weight require, about the origin."""
+    force = mass.mass * (drift.at(mass.arm) - gravity)
+    moment = turn(mass.inertia, drift.rate) + cross(drift.angular, turn(mass.inertia, drift.angular))
+    return force_at(force, mass.center) + joined(np.zeros((3, 1, 1)), moment)

@@ -10,10 +10,20 @@ import numpy as np
 
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.algebra import column, cross, dot, folded, numbers, unfolded
-from humanoid_mjx.mechanics.tree.bias import Drift, bias_forces, drifts_of
 from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.contacts import Friction, ground_touch, pair_gap_at, slip_of, stop_of
-from humanoid_mjx.mechanics.tree.inertia import Mass, Matrix, factor, mass_matrix, masses_of, product, with_diagonal
+from humanoid_mjx.mechanics.tree.inertia import (
+    Drift,
+    Mass,
+    Matrix,
+    bias_forces,
+    drifts_of,
+    factor,
+    mass_matrix,
+    masses_of,
+    product,
+    with_diagonal,
+)
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics, make_kinematics, motions_of, to_local, to_world, unit
 from humanoid_mjx.mechanics.tree.problem import Problem, Solution
 from humanoid_mjx.mechanics.tree.search import search
