@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from humanoid_mjx.control.pd import Joints
-from humanoid_mjx.mechanics.contacts import Contacts
+from humanoid_mjx.control.stages import Contacts
 from humanoid_mjx.types import FloatScalar
 
 NATURAL_FREQUENCY = 20.0

@@ -16,10 +16,9 @@ from pydantic import Field
 
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.control.drives import limited
-from humanoid_mjx.control.stages import Stages
+from humanoid_mjx.control.stages import Stages, no_contacts
 from humanoid_mjx.kernels.worlds import kernel_here
 from humanoid_mjx.mechanics import dynamics
-from humanoid_mjx.mechanics.contacts import no_contacts
 from humanoid_mjx.mechanics.kinematics import frames
 from humanoid_mjx.mechanics.rotations import angular_velocity
 from humanoid_mjx.physics.base import (

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from pydantic import Field, model_validator
 
 from humanoid_mjx import compute
-from humanoid_mjx.mechanics.contacts import Contacts
+from humanoid_mjx.control.stages import Contacts
 from humanoid_mjx.physics.base import Controller, Poses, Sensed, Velocities, World, freeze_if_diverged, where
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, below, ground_points

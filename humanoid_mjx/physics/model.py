@@ -12,8 +12,7 @@ from jaxtyping import Float, Int
 from pydantic import Field, model_validator
 
 from humanoid_mjx.control.drives import limited
-from humanoid_mjx.control.stages import Stages
-from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of
+from humanoid_mjx.control.stages import Contacts, Stages, jacobian_of
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.mechanics.tree.refusing import robot_faults
 from humanoid_mjx.physics.base import GroundContacts, Once, Physics, Poses, Readings, Sensed, Velocities, World

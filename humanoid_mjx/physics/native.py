@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
 from humanoid_mjx.compute import cores
-from humanoid_mjx.mechanics.contacts import Contacts
+from humanoid_mjx.control.stages import Contacts
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Controller, Once, Poses, Sensed, Velocities, World, freeze_if_diverged
 from humanoid_mjx.physics.model import MujocoPhysics

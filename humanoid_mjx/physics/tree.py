@@ -18,10 +18,9 @@ from pydantic import model_validator
 
 from humanoid_mjx.compute import Arithmetic
 from humanoid_mjx.compute.ways import ways
-from humanoid_mjx.control.stages import Stages
+from humanoid_mjx.control.stages import Contacts, Stages, jacobian_of, no_contacts
 from humanoid_mjx.kernels import fallback
 from humanoid_mjx.kernels.worlds import one_kernel, one_world
-from humanoid_mjx.mechanics.contacts import Contacts, jacobian_of, no_contacts
 from humanoid_mjx.mechanics.tree import sensing
 from humanoid_mjx.mechanics.tree import step as mechanics
 from humanoid_mjx.mechanics.tree.folding import fold
