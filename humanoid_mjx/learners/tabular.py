@@ -24,8 +24,8 @@ from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
 from humanoid_mjx.compute import Program
-from humanoid_mjx.compute.indexing import add_at
 from humanoid_mjx.compute.rng import uniform
+from humanoid_mjx.compute.ways import add_at
 from humanoid_mjx.learners.base import Learner, Outcome
 from humanoid_mjx.learners.exploration import QRow, drawn, entry, softmax, upper_bounds
 from humanoid_mjx.spec import traced

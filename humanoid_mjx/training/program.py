@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.compute import rng
-from humanoid_mjx.compute.indexing import add_at
+from humanoid_mjx.compute.ways import add_at
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import Outcome
 from humanoid_mjx.learners.rollout import greedy, mean_scores

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from humanoid_mjx import make_learner, make_task
 from humanoid_mjx.compute import rng
-from humanoid_mjx.compute.indexing import add_at
+from humanoid_mjx.compute.ways import add_at
 from humanoid_mjx.learners.rollout import greedy, rollout
 from humanoid_mjx.tasks.navigate import shortest_path
 from humanoid_mjx.training.program import advance, begin, curve, measures
