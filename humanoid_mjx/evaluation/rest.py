@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 
 from humanoid_mjx.learners.deep import DeepQ
 from humanoid_mjx.tasks.legged.episode import Episode
+from humanoid_mjx.tasks.legged.events import Fall
 from humanoid_mjx.tasks.legged.stand import Stand
-from humanoid_mjx.tasks.legged.terminations import Fall
 from humanoid_mjx.types import FloatScalar
 
 TURNING = 90.0

@@ -4,10 +4,9 @@ body          the robot in a physics under a control law, and the values of its 
 view          what observations, rewards and terminations are functions of
 observations  named numbers, from which size, scale and mirror image follow
 rewards       named terms, and the Specs that hold their weights
-terminations  conditions that end an episode early: a fall
 commands      commanded velocities, turn rates and sudden turns
 gait          the gait clock and open-loop steps; `thesis_gaits`: those of the thesis
-events        pushes, and domain randomisation
+events        pushes, domain randomisation, and a fall, which ends an episode early
 episode       the data of a state, and the estimated attitude
 task          reset and step
 stand, walk   the tasks that ship

@@ -1,4 +1,4 @@
-"""Disturbances of a body: pushes, and worlds that differ from episode to episode."""
+"""What happens to a body: pushes, worlds that differ from episode to episode, and a fall, which ends one."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,8 @@ from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.spec import Spec, traced
 from humanoid_mjx.tasks.legged.body import Plant
-from humanoid_mjx.types import FloatScalar
+from humanoid_mjx.tasks.legged.view import View
+from humanoid_mjx.types import BoolScalar, FloatScalar
 
 
 class Push(Spec):
@@ -45,3 +46,14 @@ class Randomise(Spec):
         spread = jnp.stack([jnp.asarray(getattr(self, name), float) for name in names])
         factors = 1.0 + spread * jax.random.uniform(key, (len(names),), minval=-1.0)
         return plant._replace(**{name: getattr(plant, name) * f for name, f in zip(names, factors, strict=True)})
+
+
+class Fall(Spec):
+    """Limits beyond which a body has fallen: it lies, or is about to."""
+
+    tilt: float = traced(45.0, gt=0, le=180, description="lean of the torso, degrees")
+    height: float = traced(0.6234, ge=0, le=2, description="of the hips, as a share of that at home")
+
+    def fallen(self, view: View) -> BoolScalar:
+        """Return whether the torso leans farther or the hips are lower than these."""
+        return (view.up[2] < jnp.cos(jnp.radians(self.tilt))) | (view.height < self.height * view.robot.leg_length)

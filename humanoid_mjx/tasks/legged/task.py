@@ -26,11 +26,10 @@ from humanoid_mjx.tasks.continuous import State, begin
 from humanoid_mjx.tasks.legged.body import LeggedBody
 from humanoid_mjx.tasks.legged.commands import Velocity
 from humanoid_mjx.tasks.legged.episode import Episode, MeanMotion
-from humanoid_mjx.tasks.legged.events import Push, Randomise
+from humanoid_mjx.tasks.legged.events import Fall, Push, Randomise
 from humanoid_mjx.tasks.legged.gait import Clock, Gaits
 from humanoid_mjx.tasks.legged.observations import PRIVILEGED, PROPRIOCEPTION, Observation, Observed, swapped
 from humanoid_mjx.tasks.legged.rewards import Rewards
-from humanoid_mjx.tasks.legged.terminations import Fall
 from humanoid_mjx.tasks.legged.view import View, feet_of, unknown_feet
 from humanoid_mjx.thesis.leg import GRAVITY
 from humanoid_mjx.types import FloatScalar
