@@ -25,7 +25,7 @@ from humanoid_mjx.robot import mjcf
 from humanoid_mjx.robot.description import BEND, STEPS, Robot, Servo, add_imu, add_motors_and_imu, listed, two_digits
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
-from humanoid_mjx.robot.motors import driven, motors_on, own_drives
+from humanoid_mjx.robot.motors import driven, motors_on, own_drives, setpoint_limits
 from humanoid_mjx.robot.touching import add_ground, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
@@ -136,6 +136,10 @@ class Declared(Robot):
         return source, spec, mjcf.checked(spec.compile)[0]
 
     def in_file(self) -> tuple[mujoco.MjSpec, str]:
+    @property
+    def setpoint_limits(self) -> Float[np.ndarray, "2 joints"]:
+        return _read(find(self.name)).limits
+
         source, spec, model = self._upright()
         felt = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
         felt |= (model.geom_contype | model.geom_conaffinity) != 0
@@ -205,6 +209,8 @@ def make_declared(name: str, **values: Any) -> Declared:
         for, in one sentence that names the file.
     """
     path, stored = find(name), "content" in values  # in the config of a run, with all that is not as by default
+    limits: Float[np.ndarray, "2 joints"]
+    """Lowest and highest set-points, rad."""
     source = _read(path)
     asked = values.get("content") or source.values["content"]
     if asked != source.values["content"]:
@@ -322,7 +328,7 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
     except InputError as error:
         message = str(error).rstrip(".")
         raise InputError(f"{path.name}: {message}.") from error
-    return Source(file, joints, turn, key, values)
+    return Source(file, joints, turn, key, setpoint_limits(model, joints), values)
 
 
 def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[Difference]]:

@@ -142,6 +142,11 @@ class Robot(Named):
     def posture(self) -> Float[np.ndarray, " joints"]:
         """Angles of the joints of the standing robot, rad."""
         return np.radians(self.home) if self.home else np.zeros(len(self.joints))
+    @property
+    def setpoint_limits(self) -> Float[np.ndarray, "2 joints"]:
+        """Lowest and highest set-points that the joints take, rad; infinite: any."""
+        return np.repeat([[-np.inf], [np.inf]], len(self.joints), axis=1)
+
 
     @property
     def phases(self) -> Float[np.ndarray, " feet"]:

@@ -354,6 +354,39 @@ def test_limits_and_gains_are_those_of_all_actuators_of_a_joint(elements, torque
 @pytest.mark.parametrize(
     ("default", "elements", "yaml", "torque"),
     [
+@pytest.mark.parametrize(
+    "elements",
+    [
+        ['<position J kp="80" kv="2" ctrlrange="-.3 .9"/>'],
+        ['<position J kp="20" gear="-2" ctrlrange="-1 .4"/>'],
+        ['<general J gainprm="40" biastype="affine" biasprm="3 -80 -2" ctrlrange="-.5 .5"/>'],
+        ['<position J kp="80" inheritrange="1"/>', '<damper J kv="1" ctrlrange="0 2"/>'],
+        ['<motor J ctrlrange="-1 1" gear="20"/>'],
+    ],
+)
+def test_set_points_end_where_those_of_the_files_actuators_end(elements, tmp_path):
+    """Where native MuJoCo's actuators bring a joint to rest that is asked to go far."""
+    text = motors(*elements)
+    robot = robot_of(tmp_path, text, yaml=f"model: base.xml\n{HOME}{FEET}{SERVO}torque: 20\n")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "base.xml"))
+    if "position" not in elements[0] and "general" not in elements[0]:
+        assert np.isinf(robot.setpoint_limits).all()
+        return
+    joint, data, rests = model.joint(robot.joints[0]), mujoco.MjData(model), []
+    aims = np.flatnonzero(model.actuator_trnid[:, 0] == joint.id)[0]
+    for side in -1, 1:
+        data.ctrl[aims] = side * np.sign(model.actuator_gear[aims, 0]) * 50
+        mujoco.mj_forward(model, data)
+        stiffness = -model.actuator_biasprm[aims, 1] * model.actuator_gear[aims, 0]
+        rests.append(data.actuator_force[aims] / stiffness + data.qpos[joint.qposadr[0]])
+    np.testing.assert_allclose(robot.setpoint_limits[:, 0], rests, rtol=1e-6)
+    task = make_task("walk", robot=str(tmp_path / "robot.yaml"), physics="mujoco", symmetric=False, action_scale=90)
+    for side in -1.0, 1.0:
+        far = task.setpoint(jnp.full(len(robot.joints), side))
+        expected = np.clip(side * np.pi / 2 + robot.posture[0], *rests)
+        np.testing.assert_allclose(far[0], expected, rtol=1e-5)
+
+
         ('<motor gear="50" ctrlrange="-.4 .4"/>', ["<motor J/>"], SERVO, 20),
         ('<position forcerange="-5 5"/>', ['<position J kp="80" kv="2"/>'], "torque: 20\n", 20),
     ],

@@ -136,10 +136,17 @@ class LeggedBody(ContinuousTask):
     def setpoint(
         self, offsets: Float[Array, " joints"], reference: Float[Array, " joints"] | float = 0.0
     ) -> Float[Array, " joints"]:
-        """Return the set-points of the joints, rad: the posture, a motion about it and the learner's offsets."""
+        """Return the set-points of the joints, rad: the posture, a motion about it and the learner's offsets, within
+        the limits of the robot's actuators."""
+        setpoint = self.moved(offsets) + (reference + self.robot.posture)
+        limits = self.robot.setpoint_limits
+        return jnp.clip(setpoint, *limits.astype(np.float32)) if np.isfinite(limits).any() else setpoint
+
+    def moved(self, offsets: Float[Array, " joints"]) -> Float[Array, " joints"]:
+        """Return by how much offsets from -1 to 1 move the set-points, rad."""
         if self.shares:
             offsets = jnp.stack([jnp.asarray(share, float) for share in self.shares])[self.robot.kinds] * offsets
-        return jnp.radians(self.action_scale) * offsets + (reference + self.robot.posture)
+        return jnp.radians(self.action_scale) * offsets
 
     def advance(
         self,
