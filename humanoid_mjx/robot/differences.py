@@ -64,7 +64,11 @@ def _of_sole(file: mujoco.MjModel, contact: Touching) -> Iterator[Row]:
     kind, name = kind_of(file, contact.two), named(file, contact.two)
     if contact.one < 0:
         here = f"the plane z = 0; friction {contact.friction[0]:g}, solref and solimp of the shape"
-        yield name, "ground of", "no plane that it can touch", here
+        body = file.geom_bodyid[contact.two]
+        others = any(
+            kind_of(file, pair.one) == "plane" and file.geom_bodyid[pair.two] == body for pair in touching(file)
+        )
+        yield name, "ground of", "no plane that it can touch" + ", as other shapes of its body can" * others, here
     if kind != "sphere":
         yield name, "shape of", kind, "2 balls, in its ends" if kind == "capsule" else "4 balls, in its corners"
     if contact.condim > 3:

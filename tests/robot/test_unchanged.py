@@ -149,6 +149,8 @@ def test_feet_slide_as_in_the_unmodified_file(case, tmp_path):
 
 NO_CONTACT = '<option><flag contact="disable"/></option>'
 NO_PLANE = "no plane that it can touch", None
+AS_OTHERS = "as other shapes of its body can"
+HEEL = '<geom name="foot"', '<geom name="heel" type="sphere" size=".02" pos="0 0 -.2"/><geom name="foot"'
 
 
 @pytest.mark.parametrize(
@@ -172,6 +174,7 @@ NO_PLANE = "no plane that it can touch", None
             5e-4,
         ),
         ([feet('contype="2" conaffinity="2"')], "ground of", NO_PLANE, 0.1),
+        ([feet('contype="2" conaffinity="2"'), HEEL], "ground of", (f"{NO_PLANE[0]}, {AS_OTHERS}", None), 0),
         ([contact('<exclude body1="world" body2="calf_FOOT"/>')], "ground of", NO_PLANE, 0.1),
         ([feet('adhesion="5"')], "adhesion or", ("set", "none"), 0.005),
         ([floor('surfacevel="1 0 0 0 0 0"')], "adhesion or", ("set", "none"), 0.1),
@@ -352,9 +355,6 @@ def test_limits_and_gains_are_those_of_all_actuators_of_a_joint(elements, torque
 
 
 @pytest.mark.parametrize(
-    ("default", "elements", "yaml", "torque"),
-    [
-@pytest.mark.parametrize(
     "elements",
     [
         ['<position J kp="80" kv="2" ctrlrange="-.3 .9"/>'],
@@ -387,6 +387,9 @@ def test_set_points_end_where_those_of_the_files_actuators_end(elements, tmp_pat
         np.testing.assert_allclose(far[0], expected, rtol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("default", "elements", "yaml", "torque"),
+    [
         ('<motor gear="50" ctrlrange="-.4 .4"/>', ["<motor J/>"], SERVO, 20),
         ('<position forcerange="-5 5"/>', ['<position J kp="80" kv="2"/>'], "torque: 20\n", 20),
     ],
