@@ -98,8 +98,7 @@ def _show_robot(name: str) -> None:
     if robot.servo and robot.points:
         lines["servo"] = "\n          ".join(in_words(robot))
         config = "walk_humanoid" if len(robot.feet) == 2 and robot.leg_length > QUICK_LEGS else "walk"
-        eager = " --set task.rewards.speed=1.2" * (robot.steps > 1.5)  # with less soft robots learn to stay
-        lines["training"] = f"humanoid-mjx sweep {config} --set task.robot={name}{eager}"
+        lines["training"] = f"humanoid-mjx sweep {config} --set task.robot={name}"
     for key, value in lines.items():
         console.print(f"{key:9} {value}", highlight=False, markup=False, soft_wrap=True)
     _print_rows("", [HEADINGS, *robot.differences()])

@@ -22,7 +22,18 @@ from pydantic import Field
 from humanoid_mjx.config import Config, parse_yaml
 from humanoid_mjx.files import folder, meant, read_text
 from humanoid_mjx.robot import mjcf
-from humanoid_mjx.robot.description import BEND, STEPS, Robot, Servo, add_imu, add_motors_and_imu, listed, two_digits
+from humanoid_mjx.robot.description import (
+    BEND,
+    MOTION,
+    RESTS,
+    STEPS,
+    Robot,
+    Servo,
+    add_imu,
+    add_motors_and_imu,
+    listed,
+    two_digits,
+)
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
 from humanoid_mjx.robot.motors import driven, motors_on, own_drives, setpoint_limits
@@ -70,8 +81,8 @@ Posture = Annotated[
 ]
 
 REACH, LIFT = 0.6, 0.4
-"""Powers of `softness` by which set-points reach and steps rise farther, from trainings of G1, T1 and Apollo with the
-gains of their files (docs/robots.md)."""
+"""Powers of the factor of `tipping` by which set-points reach and steps rise farther, from trainings of G1, T1 and
+Apollo with the gains of their files (docs/robots.md)."""
 
 
 class DeclaredServo(Spec):
@@ -97,6 +108,7 @@ class Declaration(Spec):
         None, description="factors on action_scale, by joint; by default 1, or more where the servo is soft"
     )
     steps: float | None = Field(None, gt=0, le=10, description=f"{STEPS}; by default as soft as they are")
+    rests: bool | None = Field(None, description=f"{RESTS}, as by default")
     turns: list[Annotated[float, Field(ge=0, le=1)]] = Field(
         [], description="phase, 0 to 1, at which each foot's swing begins; by default even"
     )
@@ -124,9 +136,13 @@ class Declared(Robot):
     def servo(self) -> Servo:
         return Servo(np.array(self.stiffness), np.array(self.damping))
 
+    @property
+    def setpoint_limits(self) -> Float[np.ndarray, "2 joints"]:
+        return _read(find(self.name)).limits
+
     def _unchanged(self) -> dict[str, Any]:
         own = _read(find(self.name)).values
-        return {"shares": (), "steps": 1.0} | {key: value for key, value in own.items() if key != "content"}
+        return MOTION | {key: value for key, value in own.items() if key != "content"}
 
     def _upright(self) -> tuple["Source", mujoco.MjSpec, mujoco.MjModel]:
         """The files, and the MJCF with an upright trunk."""
@@ -136,10 +152,6 @@ class Declared(Robot):
         return source, spec, mjcf.checked(spec.compile)[0]
 
     def in_file(self) -> tuple[mujoco.MjSpec, str]:
-    @property
-    def setpoint_limits(self) -> Float[np.ndarray, "2 joints"]:
-        return _read(find(self.name)).limits
-
         source, spec, model = self._upright()
         felt = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
         felt |= (model.geom_contype | model.geom_conaffinity) != 0
@@ -197,6 +209,8 @@ class Source(NamedTuple):
     """Orientation of the trunk at home in the file."""
     key: str
     """Keyframe of the posture; none: it is given by angles."""
+    limits: Float[np.ndarray, "2 joints"]
+    """Lowest and highest set-points, rad."""
     values: dict[str, Any]
     """Fields of `Declared`."""
 
@@ -209,8 +223,6 @@ def make_declared(name: str, **values: Any) -> Declared:
         for, in one sentence that names the file.
     """
     path, stored = find(name), "content" in values  # in the config of a run, with all that is not as by default
-    limits: Float[np.ndarray, "2 joints"]
-    """Lowest and highest set-points, rad."""
     source = _read(path)
     asked = values.get("content") or source.values["content"]
     if asked != source.values["content"]:
@@ -219,15 +231,17 @@ def make_declared(name: str, **values: Any) -> Declared:
     values = source.values | values | {"name": name if is_shipped(name) else str(path)}
     try:
         robot = Declared.model_validate(values)
-        if stored or {"shares", "steps"} <= values.keys():
+        if stored or MOTION.keys() <= values.keys() or not robot.points:
             return robot
-        from humanoid_mjx.robot.holding import softness  # scipy.linalg is slow to import
+        from humanoid_mjx.robot.holding import MOST_FACTOR, tipping  # scipy.linalg is slow to import
 
-        if (factor := softness(robot)) <= 1:
+        factor, kinds = tipping(robot)[0], len(set(robot.kinds.tolist()))
+        if factor <= 1:
             return robot
-        kinds = len(set(robot.kinds.tolist()))
-        reach = {"shares": (two_digits(factor**REACH),) * kinds, "steps": two_digits(factor**LIFT)}
-        return Declared.model_validate(reach | values)
+        found: dict[str, Any] = {"rests": False}
+        if factor <= MOST_FACTOR:
+            found |= {"shares": (two_digits(factor**REACH),) * kinds, "steps": two_digits(factor**LIFT)}
+        return Declared.model_validate(found | values)
     except pydantic.ValidationError as error:
         raise InputError(f"{path.name}: {sentence(error, '', Declared)}") from error
 
@@ -323,8 +337,7 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
             if uneven := [joint for k, joint in enumerate(joints) if shares[k] != shares[first[k]]]:
                 raise InputError(f"shares: {uneven[0]} and its mirror image must have the same")
             values["shares"] = tuple(shares[sorted(set(first))].tolist())  # by kind of joint
-        if declared.steps is not None:
-            values["steps"] = declared.steps
+        values |= {key: value for key in ("steps", "rests") if (value := getattr(declared, key)) is not None}
     except InputError as error:
         message = str(error).rstrip(".")
         raise InputError(f"{path.name}: {message}.") from error

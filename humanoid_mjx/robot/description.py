@@ -50,6 +50,9 @@ class Servo(NamedTuple):
 BEND = "bend of legs at home, as degrees of hip pitch: a gait's `lift` adds to it and so shortens two equal links"
 
 STEPS = "factor on a gait's `lift` and `sway`: soft joints do not get as far as they are told"
+RESTS = "stand still when told to stand; false: step on the spot, since it would tip over"
+MOTION: dict[str, Any] = {"shares": (), "steps": 1.0, "rests": True}
+"""What of a robot is no part of its model, as by default."""
 
 
 def listed(description: str) -> Any:
@@ -67,6 +70,7 @@ class Robot(Named):
     mirror: tuple[tuple[str, str], ...] = listed("parts of names that change sides")
     bend: float = Field(default=15.0, ge=0, lt=90, description=BEND)
     steps: float = Field(default=1.0, gt=0, le=10, description=STEPS)
+    rests: bool = Field(default=True, description=RESTS)
 
     def __hash__(self) -> int:
         return hash((type(self), *self.__dict__.values()))
@@ -139,14 +143,14 @@ class Robot(Named):
         return motor_limits(self.model)
 
     @property
-    def posture(self) -> Float[np.ndarray, " joints"]:
-        """Angles of the joints of the standing robot, rad."""
-        return np.radians(self.home) if self.home else np.zeros(len(self.joints))
-    @property
     def setpoint_limits(self) -> Float[np.ndarray, "2 joints"]:
         """Lowest and highest set-points that the joints take, rad; infinite: any."""
         return np.repeat([[-np.inf], [np.inf]], len(self.joints), axis=1)
 
+    @property
+    def posture(self) -> Float[np.ndarray, " joints"]:
+        """Angles of the joints of the standing robot, rad."""
+        return np.radians(self.home) if self.home else np.zeros(len(self.joints))
 
     @property
     def phases(self) -> Float[np.ndarray, " feet"]:
@@ -264,7 +268,7 @@ IMU = "gyroscope", "accelerometer"
 @lru_cache
 def compiled(robot: Robot, timestep: float | None) -> mujoco.MjModel:
     """The robot's model with this time step, s; also within jit."""
-    if (plain := robot.model_copy(update={"shares": (), "steps": 1.0})) != robot:
+    if (plain := robot.model_copy(update=MOTION)) != robot:
         return compiled(plain, timestep)  # these are no part of the model
     with jax.ensure_compile_time_eval():
         return checked(sensing_spec(robot, timestep).compile)[0]

@@ -77,15 +77,6 @@ def tipping(robot: Robot) -> tuple[float, int]:
     return float(shares[-1]), int((springs * (free @ ways[:, -1]) ** 2)[dofs].argmax())
 
 
-def softness(robot: Robot) -> float:
-    """Return how many times as stiff the servo must be for the robot to stand by itself, but at least 1; 1 where no
-    stiffness would do, or there is nothing to stand on."""
-    if not robot.points:
-        return 1.0
-    factor, _ = tipping(robot)
-    return max(factor, 1.0) if factor <= MOST_FACTOR else 1.0
-
-
 def in_words(robot: Robot) -> list[str]:
     """Return lines on the servo of a robot with feet: what it takes, whether it tips over, gains that would hold it."""
     assert robot.servo is not None
@@ -106,6 +97,8 @@ def in_words(robot: Robot) -> list[str]:
         lines.append(f"without a policy it tips over; {stiffer} it would stand, {names[weakest]} counts most")
     if robot.steps > 1:
         lines.append(f"soft joints do not get as far as told: steps rise and sway {robot.steps:g} times as far")
+    if not robot.rests:
+        lines.append("told to stand, it steps on the spot; rests: true in its YAML lets it stand still")
     if share[loaded] > 1:
         return [*lines, "no gains hold it: a motor is too weak, or home is no posture to stand in"]
     needed = np.maximum(torque / np.radians(SAGGED_DEG), stiffness)

@@ -3,6 +3,7 @@
 from importlib.util import find_spec
 from pathlib import Path
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ import yaml
 
 from humanoid_mjx import make_robot
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.holding import in_words, softness, tipping
+from humanoid_mjx.robot.holding import in_words, tipping
+from humanoid_mjx.tasks.legged.gait import Steps
 
 
 def height_after(robot, factor, seconds):
@@ -66,25 +68,41 @@ def again(robot):
 
 def test_soft_robots_are_told_to_go_farther(tmp_path):
     firm = make_robot("humanoid")
-    assert (firm.steps, softness(firm)) == (1.0, 1.0)
+    assert tipping(firm)[0] < 1 and (firm.steps, firm.rests) == (1.0, True)
     name = softer(tmp_path, 8.0)
     robot = make_robot(name)
-    assert softness(robot) == pytest.approx(8.0 * tipping(firm)[0], rel=1e-6) and robot.shares == firm.shares
-    assert robot.steps == pytest.approx(softness(robot) ** 0.4, rel=0.05)
+    factor = tipping(robot)[0]
+    assert factor == pytest.approx(8.0 * tipping(firm)[0], rel=1e-6) and robot.shares == firm.shares
+    assert robot.steps == pytest.approx(factor**0.4, rel=0.05) and not robot.rests
     assert any(f"sway {robot.steps:g} times as far" in line for line in in_words(robot))
     assert again(robot) == robot
     plain = make_robot(softer(tmp_path, 8.0, shares=None))
     assert plain.steps == robot.steps and len(set(plain.shares)) == 1
-    assert plain.shares[0] == pytest.approx(softness(plain) ** 0.6, rel=0.05)
+    assert plain.shares[0] == pytest.approx(tipping(plain)[0] ** 0.6, rel=0.05)
     assert again(plain) == plain
 
 
 def test_what_a_yaml_says_and_runs_of_before_hold(tmp_path):
     name = softer(tmp_path, 8.0, steps=1.5)
     assert make_robot(name).steps == 1.5 and again(make_robot(name)) == make_robot(name)
+    still = make_robot(softer(tmp_path, 8.0, rests=True))
+    assert still.rests and still.steps > 1 and again(still) == still
     before = make_robot(softer(tmp_path, 8.0, shares=None))
     stored = make_robot(before.name, content=before.content)  # of a run of before the key
-    assert (stored.steps, stored.shares) == (1.0, ())
+    assert (stored.steps, stored.shares, stored.rests) == (1.0, (), True)
+
+
+def test_who_would_tip_over_steps_on_the_spot_when_told_to_stand(tmp_path):
+    """Within a cycle the clock of a robot that rests stays at 0; the other's goes round, and lifts the feet."""
+    soft = make_robot(softer(tmp_path, 8.0))
+    for robot in soft, soft.model_copy(update={"rests": True}):
+        gait, still, lifted = Steps(period=0.5), jnp.zeros(3), []
+        clock = gait.start(jnp.float32(0.1), robot)
+        for _ in range(25):
+            clock = gait.after(clock, still, 0.02, robot)
+            lifted.append(np.abs(gait.reference(clock, still, robot)).max())
+        assert float(clock.phase) == pytest.approx(0.0 if robot.rests else 0.1, abs=1e-5)
+        assert (max(lifted) > 0.2) == (not robot.rests) and min(lifted) < 0.05
 
 
 LEG = """

@@ -14,7 +14,7 @@ from humanoid_mjx.robot.lower_body import LEFTWARDS, SHORTENED
 from humanoid_mjx.robot.reaching import monomials, reach_of
 from humanoid_mjx.spec import Named, make, traced, written
 from humanoid_mjx.tasks.legged.commands import moves
-from humanoid_mjx.types import FloatScalar
+from humanoid_mjx.types import BoolScalar, FloatScalar
 
 
 class Clock(NamedTuple):
@@ -24,6 +24,11 @@ class Clock(NamedTuple):
     """0 to 1"""
     generator: Any = None
     """Further state of a gait that is more than a clock: any pytree."""
+
+
+def steps_under(command: Float[Array, "3"], robot: Robot) -> BoolScalar:
+    """Return whether the feet are to step: under a command to move, and always if the robot does not rest."""
+    return moves(command) if robot.rests else jnp.bool_(True)
 
 
 class Gait(Named):
@@ -46,9 +51,9 @@ class Gait(Named):
         return Clock(phase)
 
     def after(self, clock: Clock, command: Float[Array, "3"], seconds: FloatScalar, robot: Robot) -> Clock:
-        """Return the clock `seconds` later; its phase is 0 while the command is to stand."""
+        """Return the clock `seconds` later; its phase is 0 while the feet rest."""
         later = jnp.mod(clock.phase + seconds / self.cycle_time(command), 1.0)
-        return Clock(jnp.where(moves(command), later, 0.0))
+        return Clock(jnp.where(steps_under(command, robot), later, 0.0))
 
     def cycle_time(self, command: Float[Array, "3"]) -> FloatScalar:
         """Return the time of a gait cycle under this command, s."""
@@ -88,7 +93,7 @@ class Steps(Gait):
         return jnp.where(turn < swing, forth, 1.0 - 2.0 * (turn - swing) / self.stance)
 
     def reference(self, clock: Clock, command: Float[Array, "3"], robot: Robot) -> Float[Array, " joints"]:
-        """The motion about the posture, rad; 0 while the command is to stand.
+        """The motion about the posture, rad; 0 while the feet rest.
 
         A foot that stands goes back as the ground does under a body that moves as commanded (velocity forward and to
         the left, m/s, and turn rate to the left, rad/s), times `stride`.
@@ -96,7 +101,7 @@ class Steps(Gait):
         phase, build = clock.phase, robot.build
         way = self.sweep(phase, robot) * self.cycle_time(command) * self.stance / 2
         if build is None:
-            return jnp.where(moves(command), self._by_inverse_kinematics(way, phase, command, robot), 0.0)
+            return jnp.where(steps_under(command, robot), self._by_inverse_kinematics(way, phase, command, robot), 0.0)
         forward, left, turn = self.stride * command
         pitch = jnp.arctan(way * (forward - turn * build.hip_offset * LEFTWARDS) / build.reach)
         aside, around = way * left / build.reach, way * turn
@@ -108,7 +113,7 @@ class Steps(Gait):
         swing = self.swing(phase, robot)
         lift = swing * jnp.maximum(swing, 1e-6) ** self.landing
         lifted = jnp.radians(robot.steps * self.lift) * lift[:, None] * SHORTENED
-        return jnp.where(moves(command), (swept + lifted).reshape(-1), 0.0)
+        return jnp.where(steps_under(command, robot), (swept + lifted).reshape(-1), 0.0)
 
     def _by_inverse_kinematics(
         self, way: Float[Array, " feet"], phase: FloatScalar, command: Float[Array, "3"], robot: Robot

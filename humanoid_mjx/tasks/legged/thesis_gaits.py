@@ -17,7 +17,7 @@ from humanoid_mjx.mechanics import gaits, pattern_generator
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError, traced
 from humanoid_mjx.tasks.legged.commands import moves
-from humanoid_mjx.tasks.legged.gait import Clock, Gait
+from humanoid_mjx.tasks.legged.gait import Clock, Gait, steps_under
 from humanoid_mjx.thesis import leg as thesis
 from humanoid_mjx.types import FloatScalar
 
@@ -83,7 +83,7 @@ class Oscillators(TableSteps):
         return (legs - pattern_generator.mean_posture(self.motion)).reshape(-1)
 
     def _params(self, command: Float[Array, "3"], robot: Robot) -> pattern_generator.Params:
-        moving = moves(command)
+        moving = steps_under(command, robot)
         frequency = jnp.where(moving, 1.0 / self.cycle_time(command), 0.0)
         amplitude = jnp.where(moving, self.amplitude(command, robot), 0.0)
         return pattern_generator.Params(self.motion, frequency, amplitude, response=self.response)

@@ -10,9 +10,9 @@ from humanoid_mjx.mechanics.rotations import rotation_matrix
 from humanoid_mjx.mechanics.terrain import Terrain
 from humanoid_mjx.physics.base import Sensed
 from humanoid_mjx.robot import Robot
-from humanoid_mjx.tasks.legged.commands import Velocity, moves
+from humanoid_mjx.tasks.legged.commands import Velocity
 from humanoid_mjx.tasks.legged.episode import Episode
-from humanoid_mjx.tasks.legged.gait import Gait
+from humanoid_mjx.tasks.legged.gait import Gait, steps_under
 from humanoid_mjx.types import BoolScalar, FloatScalar
 
 TOUCHING = 0.006
@@ -90,8 +90,8 @@ class View(NamedTuple):
 
     @property
     def moving(self) -> BoolScalar:
-        """True if the command is to move."""
-        return moves(self.episode.command)
+        """True if the feet are to step."""
+        return steps_under(self.episode.command, self.robot)
 
     @property
     def swing(self) -> Float[Array, " feet"]:
