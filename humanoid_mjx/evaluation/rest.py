@@ -52,10 +52,11 @@ class Posed(Stand):
 
     @property
     def told_ranges(self) -> dict[str, tuple[float, float]]:
-        """The joints' ranges, degrees; those without one turn half round from home."""
+        """The joints' ranges, degrees, within those of set-points; joints without one turn half round from home."""
         robot, half = self.robot, [-np.pi, np.pi]
         limited, free = robot.model.jnt_limited[robot.driven, None], robot.posture[:, None] + half
-        lows, highs = np.degrees(np.where(limited, robot.ranges_rad, free)).T.tolist()
+        ends = np.where(limited, robot.ranges_rad, free).T
+        lows, highs = np.degrees(np.clip(ends, *robot.setpoint_limits)).tolist()
         return dict(zip(robot.joints, zip(lows, highs, strict=True), strict=True))
 
     def steered(self, data: Episode, told: dict[str, FloatScalar]) -> Episode:
