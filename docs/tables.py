@@ -308,7 +308,8 @@ def public_robots(ships: bool = True) -> str:
         if row["robot"] == "t1_stiff" or row.get("ships", False) != ships:  # the first is a trial that did not help
             continue
         name, gait, seeds = row["robot"], row["gait"], [each["greedy_success"] for each in row["seeds"]]
-        own = [rounded(100 * row["unmodified"][f"{name}{where}, greedy"][0], 0) for where in ("", ", unmodified")]
+        judged = [row.get("unmodified", {}).get(f"{name}{where}, greedy") for where in ("", ", unmodified")]
+        own = [rounded(100 * each[0], 0) if each else "" for each in judged]
         ahead = [each for words, each in gait.items() if words.startswith("forward ")][:-1]  # the last one is too fast
         going = ", ".join(f"{each['moves'][0]:z.2f} of {each['told'][0]:.2f}" for each in ahead)
         turn = gait["turn +1.0"]["moves"][2]
