@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.robot.description import Robot
-from humanoid_mjx.robot.motors import BIAS, ON_JOINTS, bounds, gains, motor_limits, motors_on
+from humanoid_mjx.robot.motors import BIAS, ON_JOINTS, acting, bounds, gains, motor_limits, motors_on
 from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, soles_of, touching, word
 
 HEADINGS = "differs from the MJCF", "in the file", "here"
@@ -95,7 +95,7 @@ def _of_actuators(file: mujoco.MjModel, here: mujoco.MjModel, servo: Any) -> Ite
             yield name, "actuator of", found, "{}, servo of {:g} N m/rad, {:g} N m s/rad".format(motor, *gain)
     for motor in np.flatnonzero(~np.isin(file.actuator_trntype, ON_JOINTS)).tolist():
         kind = word(mujoco.mjtTrn, file.actuator_trntype[motor])
-        yield repr(file.actuator(motor).name), "actuator", f"drives a {kind}", "none"
+        yield repr(file.actuator(motor).name or motor), "actuator", f"drives a {kind}", "none"
 
 
 def _of_motor(m: mujoco.MjModel, motor: Any) -> str:
@@ -110,4 +110,5 @@ def _of_motor(m: mujoco.MjModel, motor: Any) -> str:
     parts = [f"{kind} of {limit} N m" if np.isfinite(high - low) else f"{kind} without limit"]
     parts += [f"{stiffness:g} N m/rad", f"{damping:g} N m s/rad"] * bool(stiffness or damping)
     parts += [filtered] * bool(m.actuator_dyntype[motor])
-    return ", ".join(parts + [f"{name} {value:g}" for name, value in values.items() if value])
+    words = ", ".join(parts + [f"{name} {value:g}" for name, value in values.items() if value])
+    return words if acting(m)[motor] else f"disabled {words}"

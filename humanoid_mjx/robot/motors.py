@@ -17,19 +17,26 @@ ON_JOINTS = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
 
 
 def driven(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the hinges that motors drive, in the motors' order; all hinges of a model without motors.
+    """Return the hinges that motors drive, in the motors' order; all hinges of a model without motors that act.
 
     Raises:
       InputError: there are none, one has no name, or a motor drives another joint.
     """
-    of_joint, hinge = np.isin(model.actuator_trntype, ON_JOINTS), mujoco.mjtJoint.mjJNT_HINGE
-    joints = model.actuator_trnid[of_joint, 0] if model.nu else np.flatnonzero(model.jnt_type == hinge)
+    on, hinge = acting(model), mujoco.mjtJoint.mjJNT_HINGE
+    of_joint = on & np.isin(model.actuator_trntype, ON_JOINTS)
+    joints = model.actuator_trnid[of_joint, 0] if on.any() else np.flatnonzero(model.jnt_type == hinge)
     names = tuple(dict.fromkeys(model.joint(int(joint)).name for joint in joints))
     if not names or "" in names:
         raise InputError("model: no motor drives a hinge that has a name")
     if wrong := [name for name in names if model.joint(name).type[0] != hinge]:
         raise InputError(f"model: the motor of {wrong[0]} drives no hinge")
     return names
+
+
+def acting(m: mujoco.MjModel) -> Bool[np.ndarray, " motors"]:
+    """True for actuators that act: the model disables neither their group nor all of them."""
+    off = [group for group in range(31) if m.opt.disableactuator >> group & 1]
+    return ~np.isin(m.actuator_group, off) & (not m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION)
 
 
 def motors_on(model: mujoco.MjModel, joint: int) -> Int[np.ndarray, " motors"]:
@@ -64,13 +71,13 @@ def motor_limits(model: mujoco.MjModel) -> Float[np.ndarray, " motors"]:
 
 
 def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, "3 joints"]:
-    """Return each joint's largest torque, N m, and the stiffness and damping of its actuators together, NaN without.
+    """Return each joint's largest torque, N m, and the stiffness and damping of its acting actuators, NaN without.
 
     The torque is the sum over actuators, without those that only damp, within the joint's own limit; infinite without.
     """
-    found = []
+    found, on = [], acting(model)
     for row in (model.joint(joint).id for joint in joints):
-        motors = motors_on(model, row).tolist()
+        motors = [motor for motor in motors_on(model, row).tolist() if on[motor]]
         each = np.array([gains(model, motor) for motor in motors]).reshape(-1, 2)
         limits = motor_limits(model)[motors]
         drives = (each[:, 0] != 0) | (each[:, 1] <= 0)
@@ -120,7 +127,7 @@ PLAYED = {
 
 
 def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.ndarray, " controls"]) -> Controls:
-    """Return how a model's own actuators are driven; those that drive none of the joints keep `constant`.
+    """Return how a model's own actuators are driven; those that drive none of the joints, or do not act, keep `constant`.
 
     A joint with position actuators: each rests at the set-point, velocity actuators ask for standstill, dampers act in
     full, motors give nothing. Another joint: its motors, or without any its velocity actuators, share the torque by
@@ -129,7 +136,8 @@ def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.nda
     Raises:
       InputError: an actuator of a joint is of none of these kinds.
     """
-    on = np.isin(m.actuator_trntype, ON_JOINTS)[:, None] & (m.actuator_trnid[:, :1] == [m.joint(j).id for j in joints])
+    ways = acting(m) & np.isin(m.actuator_trntype, ON_JOINTS)
+    on = ways[:, None] & (m.actuator_trnid[:, :1] == [m.joint(j).id for j in joints])
     motors, of = map(np.asarray, np.nonzero(on))
     for kind, played in PLAYED.items():
         known = np.isin(getattr(m, f"actuator_{kind}type")[motors], played) & (m.actuator_plugin[motors] < 0)

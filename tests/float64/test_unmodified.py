@@ -69,6 +69,11 @@ DRIVES = {
     ),
     "velocity": (('<velocity J kv="5" gear="2"/>',), lambda aim, q, v: [torque(aim, q, v) / 2 / 5 + 2 * v]),
     "none": ((), None),
+    "disabled": (
+        ('<position J kp="80" group="3"/>', "<motor J/>"),
+        lambda aim, q, v: [0, torque(aim, q, v)],
+    ),
+    "all disabled": ((POSITION.replace("J", 'J group="3"'),), None),
 }
 OPTIONS = {
     "elliptic": '<option cone="elliptic" impratio="100"/>',
@@ -82,6 +87,7 @@ OPTIONS = {
 
 def made(folder, drive, *pairs, yaml=YAML):
     text = FILE.replace("ACTUATORS", motors(*DRIVES[drive][0]) if DRIVES[drive][0] else "")
+    text = text.replace("<option ", '<option actuatorgroupdisable="3" ', "disabled" in drive)
     for old, new in pairs:
         assert old in text
         text = text.replace(old, new, 1)

@@ -354,6 +354,16 @@ def test_limits_and_gains_are_those_of_all_actuators_of_a_joint(elements, torque
     assert words in rows["actuator of"].in_file if words else "actuator of" not in rows
 
 
+@pytest.mark.parametrize(("group", "torque"), [(1, 10), (2, 20), (30, 30)])
+def test_actuators_of_disabled_groups_do_not_count(group, torque, tmp_path):
+    elements = motors('<position J kp="80" forcerange="-20 20" group="1"/>', '<motor J ctrlrange="-10 10" group="2"/>')
+    option = "<option", f'<option actuatorgroupdisable="{group}"'
+    robot = robot_of(tmp_path, elements, option, yaml=f"model: base.xml\n{HOME}{FEET}")
+    np.testing.assert_allclose(robot.torque_limits, torque)
+    np.testing.assert_allclose(robot.servo.stiffness, 80 if group > 1 else 10)
+    assert named(robot)["actuator of"].in_file.count("disabled") == (group < 3)
+
+
 @pytest.mark.parametrize(
     "elements",
     [
