@@ -28,8 +28,10 @@ class Standing:
         self.data.qpos[self.model.jnt_qposadr[robot.driven]] = robot.posture
         mujoco.mj_forward(self.model, self.data)
         self.home, places = self.data.qpos.copy(), self.data.geom_xpos[self.balls]
-        balance = np.vstack([np.ones(len(places)), (places - self.data.subtree_com[0]).T[:2]])
-        weight = robot.mass * float(np.linalg.norm(self.model.opt.gravity))
+        borne = self.model.body_mass * (1.0 - self.model.body_gravcomp)
+        center = borne @ self.data.xipos / max(borne.sum(), 1e-9)
+        balance = np.vstack([np.ones(len(places)), (places - center).T[:2]])
+        weight = borne.sum() * np.linalg.norm(self.model.opt.gravity)
         self.forces = np.linalg.lstsq(balance, np.array([weight, 0.0, 0.0]))[0]
 
     def jacobians(self) -> Float[np.ndarray, "points 3 nv"]:
@@ -40,11 +42,11 @@ class Standing:
         return found
 
     def load(self, change: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-        """Return what the weight and the ground ask of each degree of freedom, after a small change from home."""
+        """Return what weight, springs and ground ask of each degree of freedom, after a small change from home."""
         self.data.qpos[:] = self.home
         mujoco.mj_integratePos(self.model, self.data.qpos, change, 1.0)
         mujoco.mj_forward(self.model, self.data)
-        return self.data.qfrc_bias - self.forces @ self.jacobians()[:, 2]
+        return self.data.qfrc_bias - self.data.qfrc_passive - self.forces @ self.jacobians()[:, 2]
 
 
 def standing(robot: Robot) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
@@ -82,8 +84,9 @@ def in_words(robot: Robot) -> list[str]:
     assert robot.servo is not None
     (torque, inertia), (stiffness, damping), names = standing(robot), robot.servo, np.array(robot.joints)
     own, critical = robot.model.dof_damping[robot.model.jnt_dofadr[robot.driven]], 2 * np.sqrt(inertia)
-    sag, share = np.degrees(torque / np.maximum(stiffness, 1e-9)), torque / robot.torque_limits
-    ratio = (damping + own) / critical / np.sqrt(np.maximum(stiffness, 1e-9))
+    spring, share = robot.model.jnt_stiffness[robot.driven], torque / robot.torque_limits
+    firm = np.maximum(stiffness + spring, 1e-9)
+    sag, ratio = np.degrees(torque / firm), (damping + own) / critical / np.sqrt(firm)
     most, loaded, least = sag.argmax(), share.argmax(), ratio.argmin()
     lines = [
         f"under its weight {names[most]} gives way by {sag[most]:.2g} degrees, {names[loaded]} takes "
@@ -91,7 +94,8 @@ def in_words(robot: Robot) -> list[str]:
     ]
     factor, weakest = tipping(robot)
     if factor > MOST_FACTOR:
-        lines.append("without a policy it tips over, however stiff it is: its feet carry it on a line, or a point")
+        limp = ", or a joint without a motor gives way" * (robot.model.nv > 6 + len(names))
+        lines.append(f"without a policy it tips over, however stiff it is: its feet carry it on a line, or a point{limp}")
     elif factor > 1:
         stiffer = f"{two_digits(SURE * factor):g} times as stiff"
         lines.append(f"without a policy it tips over; {stiffer} it would stand, {names[weakest]} counts most")
@@ -101,8 +105,8 @@ def in_words(robot: Robot) -> list[str]:
         lines.append("told to stand, it steps on the spot; rests: true in its YAML lets it stand still")
     if share[loaded] > 1:
         return [*lines, "no gains hold it: a motor is too weak, or home is no posture to stand in"]
-    needed = np.maximum(torque / np.radians(SAGGED_DEG), stiffness)
-    damped = np.maximum(RATIO * critical * np.sqrt(needed) - own, damping)
+    needed = np.maximum(torque / np.radians(SAGGED_DEG) - spring, stiffness)
+    damped = np.maximum(RATIO * critical * np.sqrt(needed + spring) - own, damping)
     groups = [robot.kinds == kind for kind in np.unique(robot.kinds[(sag > SAG_DEG) | (ratio < LEAST_RATIO)])]
     gains = (
         ", ".join(f"{'|'.join(names[group])}: {two_digits(1.05 * values[group].max()):g}" for group in groups)

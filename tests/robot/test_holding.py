@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
+from tree_robots import FOUR_LEGS
 
 from humanoid_mjx import make_robot
 from humanoid_mjx.files import folder
-from humanoid_mjx.robot.holding import in_words, tipping
+from humanoid_mjx.robot.holding import in_words, standing, tipping
 from humanoid_mjx.tasks.legged.gait import Steps
 
 
@@ -46,6 +47,42 @@ def test_a_robot_tips_over_below_that_stiffness(name, tmp_path):
     assert bool(said) == (factor > 1) == (name != "humanoid")
     assert height_after(robot, 1.6 * factor, 10.0) > 0.8
     assert height_after(robot, 0.75 * factor, 10.0) < 0.7
+
+
+NECK = """<freejoint/><body pos="0 0 .1"><joint name="neck" axis="0 1 0" damping=".5" stiffness="20"/>
+  <geom pos="0 0 .05" size=".05" mass=".5" contype="0" conaffinity="0"/></body>"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<freejoint/>", "<freejoint/>"),
+        ('range="-80 80"', 'range="-80 80" stiffness="10" springref="10"'),
+        ('name="trunk"', 'name="trunk" gravcomp="0.6"'),
+        ('name="calf"', 'name="calf" gravcomp="1"'),
+        ("<freejoint/>", NECK),
+    ],
+)
+def test_the_servo_gives_the_torques_that_weight_and_springs_ask_for(old, new, tmp_path):
+    """After two seconds of native MuJoCo. Feet that slide a little pull sideways, hence 5 %."""
+    joints = [f"{kind}_{i}_{j}" for kind in ("hip", "knee") for i in "01" for j in "01"]
+    motors = "".join(f'<motor joint="{joint}" ctrlrange="-50 50"/>' for joint in joints)
+    text = FOUR_LEGS.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>")
+    assert old in text
+    (tmp_path / "base.xml").write_text(text.replace(old, new, 1))
+    feet = ", ".join(f"calf_{i}_{j}" for i in "01" for j in "01")
+    keys = f'model: base.xml\nhome: {{"hip.*": 35, "knee.*": -70}}\nfeet: [{feet}]\n'
+    (tmp_path / "robot.yaml").write_text(f"{keys}servo: {{stiffness: 300, damping: 3}}\n")
+    robot = make_robot(str(tmp_path / "robot.yaml"))
+    model, data = robot.model, mujoco.MjData(robot.model)
+    places, dofs = model.jnt_qposadr[robot.driven], model.jnt_dofadr[robot.driven]
+    data.qpos[2], data.qpos[places] = robot.start_height, robot.posture
+    while data.time < 2.0:
+        data.ctrl[:] = 300 * (robot.posture - data.qpos[places]) - 3 * data.qvel[dofs]
+        mujoco.mj_step(model, data)
+    torque, _ = standing(robot)
+    np.testing.assert_allclose(torque, np.abs(data.ctrl), rtol=0.05, atol=0.05 * torque.max())
+    assert tipping(robot)[0] < 1
 
 
 def softer(path, times, **keys):
