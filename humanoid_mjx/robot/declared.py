@@ -166,7 +166,7 @@ class Declared(Robot):
     def differences(self, timestep: float | None = None) -> tuple[Difference, ...]:
         source = _read(find(self.name))
         _, file, notes = _load(source.model)
-        found = differences(file, mjcf.checked(self.spec(timestep).compile)[0], self, source.turn)
+        found = differences(file, mjcf.checked(self.spec(timestep).compile)[0], self, source.turn, source.key)
         return (*found, *notes)
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
@@ -194,7 +194,7 @@ class Declared(Robot):
             ball = foot.add_geom(mjcf.PLAIN, name=f"{foot.name}_point{index}", size=(radius, 0, 0), pos=place, **looks)
             pair = spec.add_pair(mjcf.PLAIN, name=ball.name, geomname1=ground.name, geomname2=ball.name)
             pair.condim, pair.friction[:2], pair.margin = min(contact.condim, 3), contact.friction, contact.margin
-            pair.solref, pair.solimp = contact.solref, contact.solimp
+            pair.solref, pair.solimp, pair.solreffriction = contact.solref, contact.solimp, contact.rubbing
         spec.worldbody.first_body().add_site(mjcf.PLAIN, name="package_imu", group=3)
         add_motors_and_imu(spec, dict(zip(source.joints, self.torque, strict=True)), "package_imu")
         return spec
@@ -356,8 +356,9 @@ def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[Difference]]:
     bodies = [body.name for body in spec.worldbody.bodies]
     free = [joint for joint in spec.joints if joint.type == JOINT.mjJNT_FREE]
     if len(bodies) != 1 or len(free) != 1 or free[0].parent.name != bodies[0]:
-        there = ", ".join(bodies) or "none"
-        raise InputError(f"model: a robot is one body with a free joint, and its child bodies; the bodies are: {there}")
+        alone = f"{bodies[0]} has none; write <freejoint/> into it" if len(bodies) == 1 else "leave one in the file"
+        there = f"the bodies are: {', '.join(bodies) or 'none'}; {alone}"
+        raise InputError(f"model: a robot is one body with a free joint, and its child bodies; {there}")
     if fault := bad_timestep(spec.option.timestep):
         raise InputError(f"model: {fault}")
     for what, _ in mjcf.no_numbers(model):

@@ -29,9 +29,11 @@ def differences_of(task: Any) -> tuple[Difference, ...]:
     return robot.differences(getattr(task, "timestep", None)) if isinstance(robot, Robot) else ()
 
 
-def differences(file: mujoco.MjModel, here: mujoco.MjModel, robot: Any, turn: Sequence[float]) -> list[Difference]:
+def differences(
+    file: mujoco.MjModel, here: mujoco.MjModel, robot: Any, turn: Sequence[float], key: str
+) -> list[Difference]:
     """Compare the compiled model of an MJCF with that of its robot, a `Declared`. `turn`: orientation of the trunk at
-    home in the file, a quaternion."""
+    home in the file, a quaternion. `key`: the keyframe of its posture, if any."""
     soles = soles_of(file, robot.feet, robot.ground_geoms)
     rows = [row for sole in soles for row in _of_sole(file, sole)]
     for name in sorted(name for name in dir(file.opt) if not name.startswith("_")):
@@ -42,6 +44,7 @@ def differences(file: mujoco.MjModel, here: mujoco.MjModel, robot: Any, turn: Se
     if turn[0] != 1.0:
         angle = 2 * np.degrees(np.arccos(min(abs(turn[0]), 1.0)))
         rows.append((file.body(1).name, "frame of", f"turned by {angle:.3g} degrees at home", "upright at home"))
+    rows += _of_keyframe(file, robot.joints, key) if key else ()
     groups: dict[tuple[str, ...], list[str]] = {}
     for element, *row in rows:
         groups.setdefault(tuple(row), []).append(element)
@@ -58,6 +61,15 @@ def _option(name: str, value: np.ndarray) -> str:
         bits = [bit for bit in FLAGS.__members__.values() if "DSBL_" in bit.name and int(bit) & int(value[0])]
         return ", ".join(word(FLAGS, bit) for bit in bits) or "none"
     return word(ENUMS[name], value[0]) if name in ENUMS else " ".join(f"{part:g}" for part in value)
+
+
+def _of_keyframe(file: mujoco.MjModel, driven: Sequence[str], key: str) -> Iterator[Row]:
+    """Joints without a motor that the keyframe of the posture moves: episodes begin with them as they are drawn."""
+    data = mujoco.MjData(file)
+    mujoco.mj_resetDataKeyframe(file, data, file.key(key).id)
+    for joint in map(file.joint, np.flatnonzero(file.jnt_type != mujoco.mjtJoint.mjJNT_FREE).tolist()):
+        if joint.name not in driven and not np.allclose(data.joint(joint.id).qpos, joint.qpos0, atol=1e-6):
+            yield joint.name or str(joint.id), "home of", "as the keyframe moves it", "as drawn: it has no motor"
 
 
 def _of_sole(file: mujoco.MjModel, contact: Touching) -> Iterator[Row]:

@@ -37,6 +37,8 @@ class Touching(NamedTuple):
     margin: float
     solref: Any
     solimp: Any
+    rubbing: Any
+    """`solreffriction`, which acts in elliptic cones."""
     surplus: bool
     """True if the model sets a gap, adhesion or a velocity of the surface."""
 
@@ -44,8 +46,8 @@ class Touching(NamedTuple):
 def touching(m: mujoco.MjModel) -> list[Touching]:
     """The contact parameters of the pairs of `pairs_of`, in its order."""
     own, (one, two) = pairs_of(m)
-    pairs = m.pair_dim, m.pair_friction[:, :2], m.pair_margin, m.pair_solref, m.pair_solimp, _any(m, "pair", *SURPLUS)
-    mixed = _mixed(m, one[len(own) :], two[len(own) :])
+    pairs = m.pair_dim, m.pair_friction[:, :2], m.pair_margin, m.pair_solref, m.pair_solimp, m.pair_solreffriction
+    mixed, pairs = _mixed(m, one[len(own) :], two[len(own) :]), (*pairs, _any(m, "pair", *SURPLUS))
     *columns, surplus = (np.concatenate([part[own], more]) for part, more in zip(pairs, mixed, strict=True))
     surplus |= _any(m, "geom", "surfacevel")[[one, two]].any(axis=0)
     return [Touching(*row) for row in zip(one.tolist(), two.tolist(), *columns, surplus, strict=True)]
@@ -111,7 +113,7 @@ def _mixed(m: mujoco.MjModel, one: np.ndarray, two: np.ndarray) -> Iterator[Any]
     solref, solimp = (share[:, None] * first + (1.0 - share[:, None]) * second for first, second in (refs, imps))
     solref = np.where((refs[:, :, :1] <= 0).any(axis=0), refs.min(axis=0), solref)
     yield from (m.geom_condim[both].max(axis=0), m.geom_friction[both, :1].max(axis=0).repeat(2, axis=1))
-    yield from (margin, solref, solimp, surplus)
+    yield from (margin, solref, solimp, np.zeros_like(solref), surplus)
 
 
 def _any(m: mujoco.MjModel, kind: str, *names: str) -> np.ndarray:
@@ -149,7 +151,8 @@ def soles_of(model: mujoco.MjModel, feet: Sequence[str], chosen: Sequence[str]) 
     for foot, own in zip(feet, geoms, strict=True):
         used = own if chosen else [geom for geom in own if geom in ground] or [geom for geom in own if masks[geom]]
         if not used:
-            raise InputError(f"feet: {foot} has no geom that touches")
+            named_ones = ", ".join(filter(None, (model.geom(geom).name for geom in own))) or "none has a name"
+            raise InputError(f"feet: {foot} has no geom that touches; name its geom that is to: {named_ones}")
         found += [ground.get(geom) or _alone(model, geom) for geom in used]
     return found
 
@@ -166,7 +169,7 @@ def _fault(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> str:
 
 def _alone(m: mujoco.MjModel, geom: int) -> Touching:
     """Contact parameters of a shape with a plane that decides nothing."""
-    softness = m.geom_margin[geom], m.geom_solref[geom], m.geom_solimp[geom]
+    softness = m.geom_margin[geom], m.geom_solref[geom], m.geom_solimp[geom], np.zeros(2)
     return Touching(-1, geom, 3, m.geom_friction[geom, [0, 0]], *softness, False)
 
 

@@ -290,6 +290,26 @@ def test_mjx_feels_a_foot(cone, condim, tmp_path):
     assert forces[0] > 1
 
 
+def test_an_elliptic_cone_keeps_the_softness_of_friction(tmp_path):
+    """`solreffriction` of a pair, which acts in elliptic cones alone; the tree has none and says so."""
+    pairs = [contact('<pair geom1="floor" geom2="foot_FOOT" friction=".3 .3" solreffriction=".2 1"/>')]
+    option = "<option", '<option cone="elliptic"'
+    robot = robot_of(tmp_path, *pairs, option, yaml=YAML + "cone: elliptic\n")
+    assert apart(robot, tmp_path) < 1e-4
+    with pytest.raises(InputError, match=r"the solreffriction of pair 'calf_0_0_point0' \(4\): take mujoco"):
+        make_physics("tree", robot=robot)
+
+
+def test_a_joint_without_a_motor_that_the_keyframe_moves_is_named(tmp_path):
+    """Episodes begin with it as it is drawn."""
+    neck = '<freejoint/><body><joint name="neck"/><geom name="head" size=".05" contype="0" conaffinity="0"/></body>'
+    for angle in ("0.4", "0"):
+        key = f'<keyframe><key name="up" qpos="0 0 .4 1 0 0 0 {angle}{" .6 -1.2" * 4}"/></keyframe></mujoco>'
+        pairs = ("<freejoint/>", neck), motors('<motor J ctrlrange="-20 20"/>'), ("</mujoco>", key)
+        robot = robot_of(tmp_path, *pairs, yaml=f"model: base.xml\n{FEET}home: up\n")
+        assert ("home of" in named(robot)) == (angle != "0")
+
+
 def test_bodies_keep_their_contacts_but_not_with_the_ground(tmp_path):
     """`contacts: model`, with pairs of the ground that goes."""
     pairs = [contact('<pair geom1="floor" geom2="foot_FOOT" friction=".2 .2"/>'), feet('margin=".001"')]

@@ -59,7 +59,7 @@ def faults(m: mujoco.MjModel, sensors: Sequence[str] = ()) -> list[Fault]:
     found = [Fault(what, change) for wrong, what, change in _of_structure(m, bool(sensors)) if wrong]
     contacts = [Fault(what, change, "contacts") for wrong, what, change in _of_contacts(m) if wrong]
     rubbing = (m.pair_dim > 1) & (m.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC) & any_of_rows(m.pair_solreffriction)
-    contacts += _of_fields(m, {"pair_solreffriction": (rubbing, "that of solref")}, "contacts")
+    contacts += _of_fields(m, {"pair_solreffriction": (rubbing, 'solreffriction="0 0"')}, "contacts")
     return found + _of_fields(m, fields) + contacts
 
 
