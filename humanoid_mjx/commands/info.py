@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -98,7 +99,10 @@ def _show_robot(name: str) -> None:
     if robot.servo and robot.points:
         lines["servo"] = "\n          ".join(in_words(robot))
         config = "walk_humanoid" if len(robot.feet) == 2 and robot.leg_length > QUICK_LEGS else "walk"
-        lines["training"] = f"humanoid-mjx sweep {config} --set task.robot={name}"
+        changes = {f"task.robot={name}": True, "task.physics=mujoco": bool(refused)}
+        changes |= {"task.symmetric=false": not robot.alternates}
+        chosen = (f" --set {quote(change)}" for change, needed in changes.items() if needed)
+        lines["training"] = f"humanoid-mjx sweep {config}{''.join(chosen)}"
     for key, value in lines.items():
         console.print(f"{key:9} {value}", highlight=False, markup=False, soft_wrap=True)
     _print_rows("", [HEADINGS, *robot.differences()])

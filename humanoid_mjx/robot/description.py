@@ -235,8 +235,16 @@ class Robot(Named):
         return images("feet", self.feet, self.mirror, _names(self.model))
 
     @property
+    def alternates(self) -> bool:
+        """True if each foot swings half a period after its mirror image, as a `symmetric` task needs."""
+        later = np.mod(self.phases[self.foot_images] - self.phases, 1.0)
+        return bool(self.mirror) and np.allclose(later, 0.5)
+
+    @property
     def foot_pairs(self) -> Int[np.ndarray, "pairs 2"]:
-        """Pairs of feet that are each other's mirror images, the right foot first."""
+        """Pairs of feet on the ground that are each other's mirror images, the right foot first."""
+        if not self.points:
+            return np.empty((0, 2), int)
         data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, data)
         left = [data.body(foot).xpos[1] for foot in self.feet]

@@ -95,7 +95,9 @@ def in_words(robot: Robot) -> list[str]:
     factor, weakest = tipping(robot)
     if factor > MOST_FACTOR:
         limp = ", or a joint without a motor gives way" * (robot.model.nv > 6 + len(names))
-        lines.append(f"without a policy it tips over, however stiff it is: its feet carry it on a line, or a point{limp}")
+        lines.append(
+            f"without a policy it tips over, however stiff it is: its feet carry it on a line, or a point{limp}"
+        )
     elif factor > 1:
         stiffer = f"{two_digits(SURE * factor):g} times as stiff"
         lines.append(f"without a policy it tips over; {stiffer} it would stand, {names[weakest]} counts most")

@@ -127,7 +127,7 @@ PLAYED = {
 
 
 def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.ndarray, " controls"]) -> Controls:
-    """Return how a model's own actuators are driven; those that drive none of the joints, or do not act, keep `constant`.
+    """Return how a model's own actuators are driven; those of no joint, or that do not act, keep `constant`.
 
     A joint with position actuators: each rests at the set-point, velocity actuators ask for standstill, dampers act in
     full, motors give nothing. Another joint: its motors, or without any its velocity actuators, share the torque by

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from humanoid_mjx.robot.description import Robot, ground_points
+from humanoid_mjx.spec import InputError
 
 REGION = np.array([[-0.4, 0.4], [-0.25, 0.25], [0.0, 0.3], [-0.5, 0.5]])
 """Displacements forward, to the left and up as shares of the legs' length, and the turn to the left, rad."""
@@ -42,7 +43,13 @@ def monomials(x: Any) -> list[Any]:
 @lru_cache
 def reach_of(robot: Robot) -> tuple[Float[np.ndarray, "feet 2"], Float[np.ndarray, "terms joints"]]:
     """Return the places of the feet at home, forward and to the left of the torso, m; and the joints for other places,
-    as coefficients of the `monomials` of all feet, foot by foot, rad."""
+    as coefficients of the `monomials` of all feet, foot by foot, rad.
+
+    Raises:
+      InputError: the robot hangs: it has no foot on the ground.
+    """
+    if not robot.points:
+        raise InputError(f"robot: {robot.name} hangs from its base; name one that stands, such as lower_body.")
     legs = [_leg(robot, foot) for foot in range(len(robot.feet))]
     blocks = []
     for leg in legs:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 
 from humanoid_mjx import make_learner, make_task
 from humanoid_mjx.cli import app
+from humanoid_mjx.files import folder
 from humanoid_mjx.spec import InputError
 
 HEAVY = ("jax", "brax", "mujoco", "matplotlib", "flax", "optax", "pyarrow")
@@ -144,6 +146,28 @@ def test_info_says_what_a_legged_task_needs_of_a_robot(tmp_path):
 @pytest.mark.parametrize(("robot", "config"), [("humanoid", "walk_humanoid"), ("dog", "walk")])
 def test_info_names_the_config_that_trains_a_robot(robot, config):
     assert f"training  humanoid-mjx sweep {config} --set task.robot={robot}\n" in told("info", robot)
+
+
+@pytest.mark.parametrize(
+    ("more", "gravcomp", "changes"),
+    [
+        ("mirror: {FR: FL, RR: RL}\nturns: [0, 0.5, 0.5, 0]", 0, ""),
+        ("", 0, " --set task.symmetric=false"),
+        ("", 1, " --set task.physics=mujoco --set task.symmetric=false"),
+    ],
+)
+def test_the_command_that_info_names_is_taken(more, gravcomp, changes, tmp_path):
+    """Without a mirror or turns, and where the tree refuses the robot."""
+    text = (folder("robots") / "dog.xml").read_text()
+    (tmp_path / "my dog.xml").write_text(
+        text.replace('<body name="FL_calf"', f'<body gravcomp="{gravcomp}" name="FL_calf"')
+    )
+    feet = "[FR_foot, FL_foot, RR_foot, RL_foot]"
+    path = tmp_path / "my dog.yaml"
+    path.write_text(f'model: my dog.xml\nfeet: {feet}\nhome: {{".*thigh": 45, ".*calf": -90}}\n{more}\n')
+    (line,) = (line for line in told("info", path).splitlines() if line.startswith("training"))
+    assert line == f"training  humanoid-mjx sweep walk --set 'task.robot={path}'{changes}"
+    told("info", *shlex.split(line)[3:])
 
 
 def test_a_sweep_whose_reader_has_gone_trains_on(tmp_path):

@@ -49,7 +49,7 @@ def test_joints_that_are_refused(words):
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     with pytest.raises(InputError) as error:
         read_tree(model)
-    assert str(error.value) == f"physics: the tree cannot represent {words}."
+    assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco or mjx-jax."
 
 
 BOX = 'size=".1 .1 .1"'
@@ -59,12 +59,12 @@ CYLINDER = 'type="cylinder" size="0.1 0.1" pos'
 @pytest.mark.parametrize(
     ("words", "old", "new"),
     [
-        ("contacts of a capsule and a box, as those of 'trunk' and 'shank'.",
+        ("contacts of a capsule and a box, as those of 'trunk' and 'shank'",
          'fromto="0 0 0 0 0 -0.2" size="0.015"', BOX),
-        ("contacts that resist twisting or rolling, as those of 'ground' and 'shank' (2).", 'condim="1"', 'condim="6"'),
-        ("the implicit integrator.", 'impratio="2"', 'integrator="implicit"'),
-        ("a fluid.", 'impratio="2"', 'density="1.2"'),
-        ("equality constraints.", "<actuator>", '<equality><joint joint1="hip" joint2="knee"/></equality><actuator>'),
+        ("contacts that resist twisting or rolling, as those of 'ground' and 'shank' (2)", 'condim="1"', 'condim="6"'),
+        ("the implicit integrator", 'impratio="2"', 'integrator="implicit"'),
+        ("a fluid", 'impratio="2"', 'density="1.2"'),
+        ("equality constraints", "<actuator>", '<equality><joint joint1="hip" joint2="knee"/></equality><actuator>'),
     ],
 )  # fmt: skip
 def test_models_that_are_refused(words, old, new):
@@ -75,7 +75,7 @@ def test_models_that_are_refused(words, old, new):
         changed = changed.replace('type="capsule" ' + BOX, 'type="box" ' + BOX)
     with pytest.raises(InputError) as error:
         read_tree(mujoco.MjModel.from_xml_string(changed))
-    assert str(error.value) == f"physics: the tree cannot represent {words}"
+    assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco or mjx-jax."
 
 
 def test_all_that_is_refused_is_said_at_once():
@@ -87,7 +87,7 @@ def test_all_that_is_refused_is_said_at_once():
     words += "contacts that resist twisting or rolling, as those of 'ground' and 'shank' (2)"
     with pytest.raises(InputError) as error:
         read_tree(mujoco.MjModel.from_xml_string(changed))
-    assert str(error.value) == f"physics: the tree cannot represent {words}."
+    assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco or mjx-jax."
 
 
 def test_a_controller_that_uses_all_that_it_is_given_moves_as_in_native_mujoco(worlds):

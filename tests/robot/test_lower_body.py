@@ -7,6 +7,8 @@ import pytest
 from humanoid_mjx.robot import lower_body as body
 from humanoid_mjx.robot import make_robot
 from humanoid_mjx.robot.legs import TORQUE_LIMIT
+from humanoid_mjx.robot.reaching import reach_of
+from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis import leg as thesis
 
 
@@ -115,3 +117,11 @@ def test_it_is_a_robot_that_is_written_as_it_was_chosen():
     assert robot.start_height == 0.21
     assert robot.leg_length == pytest.approx(0.19 * np.cos(np.radians(15)) + 0.025, abs=1e-9)
     assert robot.model_dump(mode="json") == {"name": "lower_body", "ranges": "human"}
+
+
+@pytest.mark.parametrize("name", ["leg", "legs"])
+def test_robots_that_hang_have_no_feet_on_the_ground(name):
+    robot = make_robot(name)
+    assert robot.foot_pairs.shape == (0, 2)
+    with pytest.raises(InputError, match=f"robot: {name} hangs from its base; name one that stands"):
+        reach_of(robot)

@@ -34,7 +34,8 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
       InputError: the model has something that a tree cannot represent; the sentence names all of it.
     """
     if found := faults(model, sensors):
-        raise InputError(f"physics: the tree cannot represent {'; '.join(fault.what for fault in found)}.")
+        what = "; ".join(fault.what for fault in found)
+        raise InputError(f"physics: the tree cannot represent {what}: take mujoco or mjx-jax.")
     free = np.flatnonzero(model.jnt_type == JOINT.mjJNT_FREE)
     ground, geoms, pairs = _contacts(model)
     feet = tuple(dict.fromkeys(geoms)) if feet is None else feet

@@ -11,7 +11,6 @@ from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from pydantic import Field, model_validator
 
@@ -67,9 +66,9 @@ class LeggedTask(LeggedBody):
             make_physics(self.physics, MujocoPhysics, robot=self.robot, terrain=self.terrain)
             if self.terrain.shaped and self.control.name == "grounded":
                 raise ValueError("terrain: control grounded assumes a plane; take a slope without waves and stairs")
-        later = np.mod(self.robot.phases[self.robot.foot_images] - self.robot.phases, 1.0)
-        if self.symmetric and not (self.robot.mirror and np.allclose(later, 0.5)):
-            raise ValueError("symmetric: the feet do not swing half a period after their mirror images; write false")
+        if self.symmetric and not self.robot.alternates:
+            cause = "the feet do not swing half a period after their mirror images"
+            raise ValueError(f"symmetric: {cause}; write false, or mirror and turns into the robot's YAML")
         return self
 
     @property
