@@ -87,8 +87,9 @@ class RunFolder:
             run = cls(path, _lock(path, shared), stored)
         if changed := [key for key in _differences(stored, dict(config)) if key != "modules"]:
             run.close()
+            first = min(changed, key="chunk".__eq__)  # its default follows from the others
             raise InputError(
-                f"{path}: was made with another config ({changed[0]} differs); "
+                f"{path}: was made with another config ({first} differs); "
                 "resume with the same values, or choose another place with out=PATH."
             )
         for left_by_a_kill in () if shared else path.rglob(".new-*"):

@@ -130,6 +130,7 @@ def test_collective_sweep_is_repeatable(tmp_path):
         ({}, ["--resume"], {}, "no run to resume"),
         ({}, ["--resume", "--out", "."], {}, "no run folder"),
         ({"episodes": 61}, ["--resume", "--out", "whole"], {}, "another config (episodes differs)"),
+        ({"seeds": 400}, ["--resume", "--out", "whole"], {}, "another config (seeds differs)"),  # chunk, too
         ({"learner": CONFIG["learner"] | {"start_from": "nowhere"}}, [], {}, "learner.start_from: nowhere"),
         ({}, ["--out", "file/run"], {"file": "data"}, "cannot be written"),
     ],
