@@ -47,7 +47,7 @@ def step_all(
     done = state.done
     length, now = envs.length + 1, {"return": state.reward} | state.metrics
     totals = {name: total + now[name] for name, total in envs.totals.items()}
-    sums = {"episodes": done, "steps": done * length, "success": done & state.success}
+    sums = {"episodes": done, "steps": done * length, "success": jnp.logical_and(done, state.success)}
     sums |= {name: done * total for name, total in totals.items()}
     sums = {name: jnp.sum(x, dtype=jnp.float32) for name, x in sums.items()}
     few = ways().resets_apart and len(done) > RESETS

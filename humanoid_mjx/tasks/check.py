@@ -1,5 +1,6 @@
 """Check a user's own task against its protocol: trace it once, before anything is compiled."""
 
+import re
 import traceback
 from typing import Any
 
@@ -18,6 +19,11 @@ from humanoid_mjx.user_code import in_words, place
 EPISODES, STEPS = 8, 64
 """Size of the trial that looks for numbers that are not finite: episodes side by side, and random actions in each."""
 
+TAKEN = re.compile(
+    "episodes?|steps?|updates|return|success|td_error|point|seed|rung|run|diverged|wall_s|(greedy|whole)_.*"
+)
+"""Names of the curves and columns of every run, which no metric may have."""
+
 
 def check_task(task: Task) -> str:
     """Trace `reset` and `step` of a task that does not ship with this package; without a robot, also try them.
@@ -35,7 +41,7 @@ def check_task(task: Task) -> str:
         return ""
     check: Any = _check_finite if isinstance(task, FiniteTask) else _check_continuous
     try:
-        jax.eval_shape(lambda task: check(task, cls.__name__, rng.key(0)), jax.tree.map(jnp.asarray, task))
+        jax.eval_shape(lambda task: check(task, cls.__name__, rng.key(0)), _arrays(task))
         # The physics of a robot takes long to compile.
         return _check_numbers(task) if getattr(task, "simulator", None) is None else ""
     except NotImplementedError as error:
@@ -66,6 +72,16 @@ def _check_continuous(task: ContinuousTask, name: str, key: Any) -> None:
             wanted, shape = (size,) if "obs" in field else (), jnp.shape(getattr(found, field))
             if shape != wanted:
                 raise InputError(f"task: {name}.{method} must return {field} of shape {wanted}, got {shape}.")
+        if not (_is(found.obs, (size,), jnp.number) and _is(found.final_obs, (size,), jnp.number)):
+            raise InputError(f"task: {name}.{method} must return obs and final_obs as numbers; write 1.0 * obs.")
+        if found.executed is not None and not _is(found.executed, (len(choices),), jnp.integer):
+            raise InputError(f"task: {name}.{method} must return executed as an integer for each joint, or None.")
+        terms: Any = found.metrics
+        if not isinstance(terms, dict) or not all(isinstance(term, str) and _is(terms[term]) for term in terms):
+            got = jax.tree.map(jnp.shape, terms)
+            raise InputError(f"task: {name}.{method} must return metrics, a dict of scalars by name, got shapes {got}.")
+        if taken := sorted(filter(TAKEN.fullmatch, terms)):
+            raise InputError(f"task: {name}: every run has a curve or column {taken[0]!r}; rename this metric.")
     _check_same(f"{name}.step", *states.values())
 
 
@@ -81,6 +97,9 @@ def _check_finite(task: FiniteTask, name: str, key: Any) -> None:
     for field, value in (("reward", reward), ("terminated", terminated)):
         if jnp.shape(value):
             raise InputError(f"task: {name}.step must return a scalar {field}, got shape {jnp.shape(value)}.")
+    if not _is(terminated, (), jnp.bool_):
+        kind = jnp.result_type(terminated)
+        raise InputError(f"task: {name}.step must return terminated as a bool, got {kind}; write terminated > 0.")
     _check_same(f"{name}.step", state, after)
 
 
@@ -118,19 +137,32 @@ def _trial(task: Any, keys: Any) -> tuple[dict[str, Any], Any, Any]:
 
 
 def _arrays(state: Any) -> Any:
-    return jax.tree.map(jnp.asarray, state)
+    """The leaves as arrays whose types are not weak, as in a training."""
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), state)
+
+
+def _is(value: Any, shape: tuple[int, ...] = (), kind: Any = jnp.generic) -> bool:
+    """Return whether this is one number or array of numbers, of this shape and kind."""
+    return (
+        jax.tree_util.all_leaves([value]) and jnp.shape(value) == shape and jnp.issubdtype(jnp.result_type(value), kind)
+    )
 
 
 def _check_same(what: str, before: Any, after: Any) -> None:
     """A step must lead from a state to one of the same structure, shapes and dtypes."""
     before, after = _arrays(before), _arrays(after)
     if jax.tree.structure(before) != jax.tree.structure(after):
-        raise InputError(f"{what} must return a state of the structure that reset returns.")
+        old, new = ({_name(path) for path, _ in jax.tree_util.tree_leaves_with_path(x)} for x in (before, after))
+        odd = f"; {', '.join(sorted(old ^ new))} is in one of them alone" if old != new else ""
+        raise InputError(f"{what} must return a state of the structure that reset returns{odd}.")
     pairs = zip(jax.tree_util.tree_leaves_with_path(before), jax.tree.leaves(after), strict=True)
     for (path, old), new in pairs:
         if (old.shape, old.dtype) != (new.shape, new.dtype):
-            place = jax.tree_util.keystr(path).lstrip(".") or "the state"
             raise InputError(
-                f"{what} must return {place} as reset does, {old.dtype}{list(old.shape)}, "
+                f"{what} must return {_name(path)} as reset does, {old.dtype}{list(old.shape)}, "
                 f"got {new.dtype}{list(new.shape)}."
             )
+
+
+def _name(path: Any) -> str:
+    return jax.tree_util.keystr(path).lstrip(".") or "the state"

@@ -158,6 +158,20 @@ class OtherTerms(Hop):
         return super().step(state, action, key)._replace(metrics={})
 
 
+def returning(of, **fields):
+    """A class whose `reset` and `step` return a `State` with other fields."""
+
+    class Returning(of):
+        def reset(self, key):
+            return super().reset(key)._replace(**fields)
+
+        def step(self, state, action, key):
+            return super().step(state, action, key)._replace(**fields)
+
+    Returning.__name__ = next(iter(fields)).title()
+    return Returning
+
+
 class NoStep(Hop):
     step = Hop.__base__.step
 
@@ -182,7 +196,16 @@ FAULTS = {
     WrongSize: r"WrongSize.reset must return obs of shape \(2,\), got \(1,\)",
     NoState: r"NoState.step must return a State, got a tuple",
     OtherDtype: r"OtherDtype.step must return data\[1\] as reset does, int32\[\], got float32\[\]",
-    OtherTerms: r"OtherTerms.step must return a state of the structure that reset returns",
+    OtherTerms: r"OtherTerms.step must return a state of the structure that reset returns; metrics\['ahead'\] is",
+    returning(Hop, metrics={"a": jnp.ones(2)}): r"metrics, a dict of scalars by name, got shapes \{'a': \(2,\)\}",
+    returning(Hop, metrics={"a": {"b": 1.0}}): r"Metrics.reset must return metrics, a dict of scalars by name",
+    returning(Hop, metrics=None): r"Metrics.reset must return metrics, a dict of scalars by name, got shapes None",
+    **{
+        returning(Hop, metrics={name: 1.0}): f"Metrics: every run has a curve or column '{name}'; rename this metric"
+        for name in ("return", "steps", "success", "episodes", "point", "td_error", "greedy_return")
+    },
+    returning(Hop, executed=jnp.zeros(1)): "executed as an integer for each joint, or None",
+    returning(Hop, obs=jnp.bool_([True])): "obs and final_obs as numbers",
     NoStep: r"NoStep must implement step",
 }
 
@@ -193,6 +216,40 @@ def test_a_task_that_breaks_the_protocol_gets_one_sentence(fault):
     with pytest.raises(InputError, match=FAULTS[fault]) as caught:
         check_task(fault())
     assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
+
+
+@pytest.mark.parametrize("kind", [int, float])
+def test_success_may_be_a_number(kind):
+    """As the other flags may: 2 counts once."""
+
+    class Counted(Hop):
+        def step(self, state, action, key):
+            after = super().step(state, action, key)
+            return after._replace(success=jnp.asarray(2 * after.success, kind))
+
+        def reset(self, key):
+            return super().reset(key)._replace(success=jnp.zeros((), kind))
+
+    values = {"total_steps": 512, "record": 1, "envs": 16, "rollout": 8}
+    counted, plain = (train(make_learner("linear_q", cls(), **values), key(0)).curve for cls in (Counted, Hop))
+    assert 0 < counted["success"] == plain["success"] <= 1
+
+
+class HalfAsPrecise(Hop):
+    stride: float = traced(0.25)
+
+    def reset(self, key):
+        state = super().reset(key)
+        return state._replace(obs=state.obs.astype(jnp.float16))
+
+    def step(self, state, action, key):
+        return super().step(state, action, key)._replace(obs=state.obs + 0.0 * self.stride)
+
+
+def test_types_are_those_of_a_training():
+    """There a field is an array that decides the type of what is computed with it."""
+    with pytest.raises(InputError, match=r"must return obs as reset does, float16\[1\], got float32\[1\]"):
+        check_task(HalfAsPrecise())
 
 
 def test_an_episode_begins_with_nothing_won():
@@ -249,6 +306,11 @@ def test_a_bandit_has_one_state():
     assert trained.policy.weights.tolist() == [[0.0, 1.0]]
 
 
+class Counts(Row):
+    def step(self, state, action, key):
+        return (state + action) % 3, 0.5, state // 2
+
+
 @pytest.mark.parametrize(
     ("fault", "says"),
     {
@@ -256,6 +318,7 @@ def test_a_bandit_has_one_state():
         NoStep: FAULTS[NoStep],
         NotFinite: r"NotFinite has a reward that is not finite in step 1 of 8 times 64 random actions\.",
         Row: r"Row has a state whose row is outside 0 to 2 in step \d+ of",
+        Counts: r"Counts.step must return terminated as a bool, got int32; write terminated > 0\.",
         FloatRow: r"FloatRow: the row of a state must be an integer, got float32\[\]",
     }.items(),
     ids=lambda value: getattr(value, "__name__", ""),
