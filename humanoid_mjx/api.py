@@ -149,7 +149,7 @@ def train(learner: Learner, key: Key[Array, ""]) -> Trained[Any]:
       set `scores["diverged"]`.
 
     Raises:
-      InputError: no learner, no key, or a fault in a task of one's own (`check_task`).
+      InputError: no learner, no key, or a fault in a task (`check_task`) or learner of one's own.
     """
     if not isinstance(learner, Learner):
         raise InputError(
@@ -157,6 +157,7 @@ def train(learner: Learner, key: Key[Array, ""]) -> Trained[Any]:
         )
     check_key("train", key)
     check_task(learner.task)
+    program.check_learner(learner)
     return _train(learner, key)
 
 

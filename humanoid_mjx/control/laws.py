@@ -44,7 +44,15 @@ class Law(Named):
 
     def follow(self, reference: Reference) -> Callable[[Stages], Joints]:
         """Return the controller that follows one reference, as `Physics.step` takes it: a pytree."""
-        return Partial(type(self).__call__, self, reference)
+        return Partial(_torque, self, reference)
+
+
+def _torque(law: Law, reference: Reference, state: Stages) -> Joints:
+    """The torques that a law asks for, one for each joint."""
+    torque = law(reference, state)
+    if (shape := jnp.shape(torque)) != (wanted := jnp.shape(state.qpos)):
+        raise InputError(f"control: {type(law).__name__} must return torques of shape {wanted}, got {shape}.")
+    return torque
 
 
 class ServoLaw(Law):

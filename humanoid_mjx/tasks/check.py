@@ -10,7 +10,7 @@ import numpy as np
 from jax.core import Tracer
 
 from humanoid_mjx.compute import rng
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, Spec
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous, auto_reset
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -26,7 +26,8 @@ TAKEN = re.compile(
 
 
 def check_task(task: Task) -> str:
-    """Trace `reset` and `step` of a task that does not ship with this package; without a robot, also try them.
+    """Trace `reset` and `step` of a task that does not ship with this package, or of which a part, such as its control
+    law, does not; without a robot, also try them.
 
     Returns:
       a sentence on the trial: the episodes that ended, and the rewards; "" without a trial.
@@ -36,26 +37,39 @@ def check_task(task: Task) -> str:
         branch depends on a traced value; or in the trial an observation or reward is not finite, or a state of a finite
         task has no row in the table.
     """
-    cls = type(task)
-    if cls.__module__.partition(".")[0] == __name__.partition(".")[0]:
+    if not (own := own_classes(task)):
         return ""
+    name = " with ".join(dict.fromkeys([type(task).__name__, *own]))
     check: Any = _check_finite if isinstance(task, FiniteTask) else _check_continuous
     try:
-        jax.eval_shape(lambda task: check(task, cls.__name__, rng.key(0)), _arrays(task))
+        jax.eval_shape(lambda task: check(task, type(task).__name__, rng.key(0)), arrays(task))
         # The physics of a robot takes long to compile.
         return _check_numbers(task) if getattr(task, "simulator", None) is None else ""
-    except NotImplementedError as error:
-        method = traceback.extract_tb(error.__traceback__)[-1].name
-        raise InputError(f"task: {cls.__name__} must implement {method}.") from error
-    except InputError:
-        raise
     except Exception as error:
-        if isinstance(error, jax.errors.JAXTypeError) or (isinstance(error, TypeError) and "concrete" in str(error)):
-            raise InputError(
-                f"task: {cls.__name__} lets an array's shape or a Python branch depend on a traced value"
-                f"{place(error)}; make that field static by declaring it without traced(), or compute with jnp.where."
-            ) from error
-        raise InputError(f"task: {cls.__name__} cannot be used: {in_words(error)}.") from error
+        raise fault(f"task: {name}", error) from error
+
+
+def own_classes(part: Spec) -> list[str]:
+    """Return the names of the classes of a Spec and its parts that do not ship with this package."""
+    own = type(part).__module__.partition(".")[0] != __name__.partition(".")[0]
+    inner = (each for each in part.__dict__.values() if isinstance(each, Spec))
+    return [type(part).__name__] * own + [name for each in inner for name in own_classes(each)]
+
+
+def fault(what: str, error: Exception) -> InputError:
+    """Return what to say of an error in a user's class, which `what` names with its key."""
+    if isinstance(error, InputError):
+        return error
+    if isinstance(error, NotImplementedError):
+        frame, _ = list(traceback.walk_tb(error.__traceback__))[-1]
+        of = type(frame.f_locals["self"]).__name__ if "self" in frame.f_locals else what.partition(": ")[2]
+        return InputError(f"{what.partition(':')[0]}: {of} must implement {frame.f_code.co_name}.")
+    if isinstance(error, jax.errors.JAXTypeError) or (isinstance(error, TypeError) and "concrete" in str(error)):
+        return InputError(
+            f"{what} lets an array's shape or a Python branch depend on a traced value"
+            f"{place(error)}; make that field static by declaring it without traced(), or compute with jnp.where."
+        )
+    return InputError(f"{what} cannot be used: {in_words(error)}.")
 
 
 def _check_continuous(task: ContinuousTask, name: str, key: Any) -> None:
@@ -64,7 +78,7 @@ def _check_continuous(task: ContinuousTask, name: str, key: Any) -> None:
         raise InputError(f"task: {name}.action_bins must hold a number of at least 2 for each joint, got {choices}.")
     states: dict[str, Any] = {"reset": (state := task.reset(key))}
     if isinstance(state, State):
-        states["step"] = task.step(_arrays(state), jnp.zeros(len(choices), jnp.int32), key)
+        states["step"] = task.step(arrays(state), jnp.zeros(len(choices), jnp.int32), key)
     for method, found in states.items():
         if not isinstance(found, State):
             raise InputError(f"task: {name}.{method} must return a State, got a {type(found).__name__}.")
@@ -82,11 +96,11 @@ def _check_continuous(task: ContinuousTask, name: str, key: Any) -> None:
             raise InputError(f"task: {name}.{method} must return metrics, a dict of scalars by name, got shapes {got}.")
         if taken := sorted(filter(TAKEN.fullmatch, terms)):
             raise InputError(f"task: {name}: every run has a curve or column {taken[0]!r}; rename this metric.")
-    _check_same(f"{name}.step", *states.values())
+    check_same(f"{name}.step", *states.values())
 
 
 def _check_finite(task: FiniteTask, name: str, key: Any) -> None:
-    state = _arrays(task.reset(key))
+    state = arrays(task.reset(key))
     row = jnp.asarray(task.state_index(state))
     if row.shape or not jnp.issubdtype(row.dtype, jnp.integer):
         raise InputError(f"task: {name}: the row of a state must be an integer, got {row.dtype}{list(row.shape)}.")
@@ -100,7 +114,7 @@ def _check_finite(task: FiniteTask, name: str, key: Any) -> None:
     if not _is(terminated, (), jnp.bool_):
         kind = jnp.result_type(terminated)
         raise InputError(f"task: {name}.step must return terminated as a bool, got {kind}; write terminated > 0.")
-    _check_same(f"{name}.step", state, after)
+    check_same(f"{name}.step", state, after)
 
 
 def _check_numbers(task: Task) -> str:
@@ -136,7 +150,7 @@ def _trial(task: Any, keys: Any) -> tuple[dict[str, Any], Any, Any]:
     return jax.vmap(lambda key: jax.lax.scan(step, env.reset(key), jax.random.split(key, STEPS))[1])(keys)
 
 
-def _arrays(state: Any) -> Any:
+def arrays(state: Any) -> Any:
     """The leaves as arrays whose types are not weak, as in a training."""
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), state)
 
@@ -148,18 +162,19 @@ def _is(value: Any, shape: tuple[int, ...] = (), kind: Any = jnp.generic) -> boo
     )
 
 
-def _check_same(what: str, before: Any, after: Any) -> None:
-    """A step must lead from a state to one of the same structure, shapes and dtypes."""
-    before, after = _arrays(before), _arrays(after)
+def check_same(what: str, before: Any, after: Any, first: str = "reset") -> None:
+    """A step must lead from a state, as the method `first` returns it, to one of the same structure, shapes and
+    dtypes."""
+    before, after = arrays(before), arrays(after)
     if jax.tree.structure(before) != jax.tree.structure(after):
         old, new = ({_name(path) for path, _ in jax.tree_util.tree_leaves_with_path(x)} for x in (before, after))
         odd = f"; {', '.join(sorted(old ^ new))} is in one of them alone" if old != new else ""
-        raise InputError(f"{what} must return a state of the structure that reset returns{odd}.")
+        raise InputError(f"{what} must return a state of the structure that {first} returns{odd}.")
     pairs = zip(jax.tree_util.tree_leaves_with_path(before), jax.tree.leaves(after), strict=True)
     for (path, old), new in pairs:
         if (old.shape, old.dtype) != (new.shape, new.dtype):
             raise InputError(
-                f"{what} must return {_name(path)} as reset does, {old.dtype}{list(old.shape)}, "
+                f"{what} must return {_name(path)} as {first} does, {old.dtype}{list(old.shape)}, "
                 f"got {new.dtype}{list(new.shape)}."
             )
 

@@ -19,7 +19,7 @@ from humanoid_mjx.learners import Learner, make_learner
 from humanoid_mjx.spec import InputError, Spec, modules_in
 from humanoid_mjx.tasks import make_task
 from humanoid_mjx.tasks.check import check_task
-from humanoid_mjx.training.program import Training, begin
+from humanoid_mjx.training.program import Training, begin, check_learner
 from humanoid_mjx.user_code import in_words
 
 MAX_RUNS = 10_000_000
@@ -238,7 +238,8 @@ def make_plan(config: Config) -> Plan:
             raise InputError(f"{len(points):,} points x {config.seeds:,} seeds are more than {MAX_RUNS:,} runs.")
         plan = Plan(config, points, [build(config, point) for point in points])
         for group in plan.groups:
-            check_task(plan.learners[group.points[0]].task)
+            check_task((learner := plan.learners[group.points[0]]).task)
+            check_learner(learner)
         return plan
     except InputError as error:
         raise InputError(f"{config.source}: {error}") from error

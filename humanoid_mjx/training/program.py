@@ -15,6 +15,8 @@ from humanoid_mjx.compute.ways import add_at
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.base import Outcome
 from humanoid_mjx.learners.rollout import greedy, mean_scores
+from humanoid_mjx.spec import InputError
+from humanoid_mjx.tasks.check import arrays, check_same, fault, own_classes
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 
@@ -151,7 +153,7 @@ def finish(learner: Learner, training: Training, key: Key[Array, ""]) -> dict[st
 
 
 @jax.jit
-def _train_step(learner: Learner, carry: Any) -> tuple[Any, Outcome]:
+def _train_step(learner: Learner, carry: Any) -> Any:
     """The learner's step, traced once for all that asks for it."""
     return learner.train_step(carry)
 
@@ -197,3 +199,34 @@ def progress_of(learner: Learner, training: Training) -> Progress:
 
 def _finite(tree: Any) -> BoolScalar:
     return jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(tree)]).all()
+
+
+def check_learner(learner: Learner) -> None:
+    """Trace a step of training, and an action, of a learner that does not ship with this package.
+
+    Raises:
+      InputError: a method fails, or does not return what the protocol of `Learner` says.
+    """
+    if type(learner).__name__ not in own_classes(learner):
+        return
+    what = f"learner: {type(learner).__name__}"
+    try:
+        jax.eval_shape(lambda learner: _trace(learner, what, rng.key(0)), arrays(learner))
+    except Exception as error:
+        raise fault(what, error) from error
+
+
+def _trace(learner: Learner, what: str, key: Key[Array, ""]) -> None:
+    carry = arrays(learner.init(key))
+    found: Any = _train_step(learner, carry)
+    if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], Outcome)):
+        raise InputError(f"{what}.train_step must return a tuple (training state, Outcome).")
+    check_same(f"{what}.train_step", carry, found[0], "init")
+    if lacks := sorted(set(SHOWN) - found[1].totals.keys()):
+        raise InputError(f"{what}.train_step must return an Outcome whose totals have {', '.join(lacks)}, too.")
+    policy, state = learner.policy(carry), learner.env.reset(key)
+    if not all(hasattr(leaf, "dtype") for leaf in jax.tree.leaves(policy)):
+        raise InputError(f"{what}.policy must return a pytree of arrays.")
+    action, joints = learner.act(policy, learner.observation(state), key), len(learner.env.action_bins)
+    if jnp.shape(action) != (joints,):
+        raise InputError(f"{what}.act must return an action of shape {(joints,)}, got {jnp.shape(action)}.")

@@ -16,6 +16,8 @@ from hop import Hop
 
 import humanoid_mjx
 from humanoid_mjx import FiniteTask, InputError, key, make_learner, make_task, spec, train
+from humanoid_mjx.control import Law
+from humanoid_mjx.learners.base import Outcome, StepLearner
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.continuous import ContinuousTask
@@ -265,6 +267,73 @@ class OfTheirOwn(Hop):
 class NotFinite(Hop):
     def step(self, state, action, key):
         return super().step(state, action, key)._replace(reward=jnp.float32(jnp.nan))
+
+
+class Short(Law):
+    def __call__(self, reference, state):
+        return reference.qpos[:3]
+
+
+class NoLaw(Law):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("law", "says"),
+    [
+        (Short, r"control: Short must return torques of shape \(10,\), got \(3,\)"),
+        (NoLaw, "task: NoLaw must implement __call__"),
+    ],
+)
+def test_a_law_of_ones_own_on_a_task_that_ships_gets_one_sentence(law, says):
+    task = make_task("stand", control=f"{__name__}:{law.__name__}")
+    with pytest.raises(InputError, match=says):
+        check_task(task)
+
+
+class Alone(StepLearner):
+    """The same action, as it is told; breaks the protocol where it is told to."""
+
+    wrong: str = ""
+
+    def init(self, key, policy=None):
+        return jnp.zeros(2), jnp.float32(0)
+
+    def train_step(self, carry):
+        none = jnp.float32(0)
+        totals = {"steps": none, "success": none, "return": none}
+        outcome = Outcome(carry[1], none, totals if self.wrong != "totals" else {"steps": none}, {})
+        after = carry[0], (carry[1] + 1 if self.wrong != "state" else jnp.int32(1))
+        return after if self.wrong == "tuple" else (after, outcome)
+
+    def progress(self, carry):
+        return carry[1] / self.total_steps
+
+    def policy(self, carry):
+        return "none" if self.wrong == "policy" else carry[0]
+
+    def act(self, policy, observation, key):
+        if self.wrong == "act":
+            return policy + "a"
+        return jnp.zeros((2,) if self.wrong == "shape" else (1,), jnp.int32)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ("tuple", r"learner: Alone.train_step must return a tuple \(training state, Outcome\)"),
+        ("totals", "an Outcome whose totals have return, success, too"),
+        ("state", r"Alone.train_step must return \[1\] as init does, float32\[\], got int32\[\]"),
+        ("policy", "Alone.policy must return a pytree of arrays"),
+        ("shape", r"Alone.act must return an action of shape \(1,\), got \(2,\)"),
+        ("act", r"learner: Alone cannot be used: TypeError: .* \(test_own_tasks.py, line \d+: return policy . .a.\)"),
+    ],
+)
+def test_a_learner_that_breaks_the_protocol_gets_one_sentence(wrong, says):
+    values = {"total_steps": 5, "record": 1}
+    train(make_learner(f"{__name__}:Alone", Hop(), **values), key(0))
+    with pytest.raises(InputError, match=says):
+        train(make_learner(f"{__name__}:Alone", Hop(), wrong=wrong, **values), key(0))
 
 
 class Row(FiniteTask):
