@@ -164,7 +164,8 @@ KINDS = {
     "config": "a config: humanoid-mjx sweep {0} trains it",
     "robot": "a robot: humanoid-mjx info {0} shows it, humanoid-mjx sweep stand --set task.robot={0} trains it",
     "policy": "a policy: humanoid-mjx play {0} shows it",
-    "model": "an MJCF: humanoid-mjx info {0} shows it, and a YAML beside it makes it a robot (docs/your_robot.md)",
+    "model": "an MJCF: humanoid-mjx info {0} shows it, and a YAML beside it with the keys model and feet "
+    "makes it a robot (docs/your_robot.md)",
     "run": "a run folder: humanoid-mjx report {0} shows it, and "
     "humanoid-mjx sweep {0}/config.yaml --out {0} --resume completes it",
 }

@@ -126,9 +126,9 @@ class Declared(Robot):
     name: str = Field(description="path of the YAML, or the name of a robot that ships")
     content: str = Field("", description="digest of both files: a run takes no other robot of the same name")
     ground_geoms: tuple[str, ...] = listed("geoms of the feet; all that touch")
-    torque: tuple[float, ...] = listed("largest torques, N m")
-    stiffness: tuple[float, ...] = listed("of the servo, N m/rad")
-    damping: tuple[float, ...] = listed("of the servo, N m s/rad")
+    torque: tuple[Annotated[float, Field(gt=0)], ...] = listed("largest torques, N m")
+    stiffness: tuple[Annotated[float, Field(ge=0)], ...] = listed("of the servo, N m/rad")
+    damping: tuple[Annotated[float, Field(ge=0)], ...] = listed("of the servo, N m s/rad")
     contacts: Literal["feet", "model"] = Field("feet", description="what touches")
     cone: Literal["pyramidal", "elliptic"] = Field("pyramidal", description="friction cones")
 
@@ -171,6 +171,9 @@ class Declared(Robot):
 
     def spec(self, timestep: float | None = None) -> mujoco.MjSpec:
         source, spec, model = self._upright()
+        for key in ("torque", "stiffness", "damping"):
+            if (count := len(getattr(self, key))) != len(source.joints):
+                raise InputError(f"{key}: must hold {len(source.joints)} numbers, got {count}")
         data = mujoco.MjData(model)
         for joint, angle in zip(source.joints, np.radians(self.home or [0.0] * len(source.joints)), strict=True):
             data.qpos[model.joint(joint).qposadr[0]] = angle

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.robot.mjcf import PLAIN, any_of_rows
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, known
 
 FLAGS, GEOM = mujoco.mjtDisableBit, mujoco.mjtGeom
 NO_CONTACTS = int(FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_CONTACT)
@@ -132,6 +132,9 @@ def soles_of(model: mujoco.MjModel, feet: Sequence[str], chosen: Sequence[str]) 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     ground, found, masks = {}, [], model.geom_contype | model.geom_conaffinity
+    bodies = [model.body(body).name for body in range(model.nbody)]
+    if strange := [foot for foot in feet if foot not in bodies]:
+        raise InputError(f"feet: the model has no body {strange[0]!r}; {known(strange[0], bodies)}")
     geoms = [np.flatnonzero(model.geom_bodyid == model.body(foot).id).tolist() for foot in feet]
     if chosen:
         geoms = [[geom for geom in own if model.geom(geom).name in chosen] for own in geoms]

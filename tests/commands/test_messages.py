@@ -62,7 +62,7 @@ TYPED = {
     "sweep three": f"; three.yaml is a robot: {ROBOT}",
     "sweep three.yaml": f"this is no config; it is a robot: {ROBOT}",
     "sweep three.xml": f"this is no config; three.yaml is a robot: {ROBOT}",
-    "sweep lonely.xml": "it is an MJCF: humanoid-mjx info lonely.xml shows it, and a YAML beside it makes it a robot",
+    "sweep lonely.xml": "it is an MJCF: humanoid-mjx info lonely.xml shows it, and a YAML beside it with the",
     "sweep mine.npz": "it is a policy: humanoid-mjx play mine.npz shows it",
     "sweep runs/joint1": RESUME,
     "sweep joint_1": "did you mean 'joint1'? known are joint1, joint5, joint4, ",

@@ -161,6 +161,21 @@ def test_models_that_are_no_robots_are_refused(old, new, words, tmp_path, monkey
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("stiffness", [1.0], "stiffness: must hold 12 numbers, got 1"),
+        ("torque", [1.0] * 13, "torque: must hold 12 numbers, got 13"),
+        ("damping", [-1.0] * 12, r"damping.0 must be at least 0.0, got -1.0"),
+        ("torque", [0.0] * 12, r"torque.0 must be greater than 0.0, got 0.0"),
+        ("feet", ["nose"], "feet: the model has no body 'nose'"),
+    ],
+)
+def test_what_a_config_changes_of_a_robot_fits_its_model(key, value, words):
+    with pytest.raises(InputError, match=words):
+        make_robot("dog", **{key: value})
+
+
 def test_patterns_the_models_own_values_and_defaults(tmp_path):
     robot = make_robot(files(tmp_path, servo={"stiffness": {".*calf": 7, ".*": 5}}, torque={".*_hip": 3}, shares=None))
     np.testing.assert_array_equal(robot.servo.stiffness[:3], [5, 5, 7])
