@@ -314,6 +314,8 @@ def evaluate(
     """
     from humanoid_mjx.evaluation.evaluate import evaluate_all
 
+    if not isinstance(episodes, (int, np.integer)) or episodes < 1:
+        raise InputError(f"evaluate: episodes must be an integer of at least 1, got {shown(episodes)}.")
     return {each.agent: each for each in evaluate_all([_policy(what, point, physics, overrides)], episodes)}
 
 

@@ -251,6 +251,8 @@ WRONG = {
     "jax.vmap(lambda n: table.replace(agents=n).epsilon)(jnp.arange(2))": "TabularQ.replace: agents is static: it",
     "table.replace(method='sarssa')": "TabularQ.replace: method must be one of q_learning, sarsa, expected_sarsa",
     "load_policy(None)": "a policy is named by a run folder, a policy file or a shipped name, got None.",
+    "humanoid_mjx.evaluate('stand', episodes=0)": "evaluate: episodes must be an integer of at least 1, got 0.",
+    "humanoid_mjx.evaluate('stand', episodes=2.5)": "evaluate: episodes must be an integer of at least 1, got 2.5.",
     "humanoid_mjx.evaluate(None)": "a policy is named by a run folder, a policy file or a shipped name, got None.",
     "humanoid_mjx.sweep(None)": "sweep: config must be a config, its name or path, or a mapping of its keys, got None.",
     "humanoid_mjx.play(policy)": "moves no robot",
