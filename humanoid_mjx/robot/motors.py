@@ -92,10 +92,10 @@ def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray
 
 def setpoint_limits(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, "2 joints"]:
     """Return the lowest and highest set-points that each joint's position actuators take, rad; infinite without."""
-    found = np.repeat([[-np.inf], [np.inf]], len(joints), axis=1)
+    found, on = np.repeat([[-np.inf], [np.inf]], len(joints), axis=1), acting(model)
     for ends, row in zip(found.T, (model.joint(joint).id for joint in joints), strict=True):
         for motor in motors_on(model, row).tolist():
-            if model.actuator_ctrllimited[motor] and gains(model, motor)[0] > 0:
+            if on[motor] and model.actuator_ctrllimited[motor] and gains(model, motor)[0] > 0:
                 constant, slope = model.actuator_biasprm[motor, :2]
                 torques = model.actuator_gainprm[motor, 0] * model.actuator_ctrlrange[motor] + constant
                 ends[:] = np.clip(ends, *np.sort(torques / (-slope * model.actuator_gear[motor, 0])))
