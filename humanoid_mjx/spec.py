@@ -138,6 +138,11 @@ def kinds(spec: Spec) -> Iterator[type[Spec]]:
             yield from kinds(value)
 
 
+def ships(kind: type[Spec]) -> bool:
+    """Return whether a class is one of this package, and not a user's."""
+    return kind.__module__.startswith("humanoid_mjx.")
+
+
 def _flatten(spec: Spec) -> tuple[list[Any], tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]]:
     """Return the nodes of the pytree; their names, and the static fields."""
     nodes, static = {}, {}

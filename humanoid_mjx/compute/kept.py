@@ -24,7 +24,7 @@ import jax.monitoring
 from humanoid_mjx.compute.provenance import machine
 from humanoid_mjx.files import folder, read_sealed, write_sealed
 from humanoid_mjx.kernels import cpu_kernel, fallback
-from humanoid_mjx.spec import Spec, kinds
+from humanoid_mjx.spec import Spec, kinds, ships
 
 SETTINGS = ("JAX_", "XLA_", "PJRT_", "TF_", "NVIDIA_", "CUDA_")
 """Prefixes of the environment variables that programs may depend on."""
@@ -46,7 +46,7 @@ def keeping() -> Iterator[None]:
 def about(spec: Spec, arrays: Any = None, also: str = "") -> str | None:
     """Return the cache key of a program: structure, shapes, types and shardings of a Spec and of `arrays`, and `also`.
     None if the Spec has a class from outside this package, whose code may change."""
-    if not all(kind.__module__.startswith("humanoid_mjx.") for kind in kinds(spec)):
+    if not all(map(ships, kinds(spec))):
         return None
     leaves, structure = jax.tree.flatten((spec, arrays))
     kinds_of_leaves = (f"{jax.typeof(leaf)} {getattr(leaf, 'sharding', None)}" for leaf in leaves)

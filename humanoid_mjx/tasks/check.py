@@ -10,7 +10,7 @@ import numpy as np
 from jax.core import Tracer
 
 from humanoid_mjx.compute import rng
-from humanoid_mjx.spec import InputError, Spec
+from humanoid_mjx.spec import InputError, kinds, ships
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous, auto_reset
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -37,7 +37,7 @@ def check_task(task: Task) -> str:
         branch depends on a traced value; or in the trial an observation or reward is not finite, or a state of a finite
         task has no row in the table.
     """
-    if not (own := own_classes(task)):
+    if not (own := [kind.__name__ for kind in kinds(task) if not ships(kind)]):
         return ""
     name = " with ".join(dict.fromkeys([type(task).__name__, *own]))
     check: Any = _check_finite if isinstance(task, FiniteTask) else _check_continuous
@@ -47,13 +47,6 @@ def check_task(task: Task) -> str:
         return _check_numbers(task) if getattr(task, "simulator", None) is None else ""
     except Exception as error:
         raise fault(f"task: {name}", error) from error
-
-
-def own_classes(part: Spec) -> list[str]:
-    """Return the names of the classes of a Spec and its parts that do not ship with this package."""
-    own = type(part).__module__.partition(".")[0] != __name__.partition(".")[0]
-    inner = (each for each in part.__dict__.values() if isinstance(each, Spec))
-    return [type(part).__name__] * own + [name for each in inner for name in own_classes(each)]
 
 
 def fault(what: str, error: Exception) -> InputError:
