@@ -138,7 +138,7 @@ class Declared(Robot):
 
     @property
     def setpoint_limits(self) -> Float[np.ndarray, "2 joints"]:
-        return _read(find(self.name)).limits
+        return _limits(self.name, self.content)
 
     def _unchanged(self) -> dict[str, Any]:
         own = _read(find(self.name)).values
@@ -299,6 +299,12 @@ def _read(path: Path) -> Source:
         raise InputError(f"{path.name}: {sentence(error, '', Declaration)}") from error
     except OSError as error:
         raise InputError(f"{path.name}: {error.filename} cannot be read: {error.strerror}.") from error
+
+
+@lru_cache
+def _limits(name: str, content: str) -> Float[np.ndarray, "2 joints"]:
+    """The limits of set-points of a robot, by the name and the digest of its files; tracing asks often."""
+    return _read(find(name)).limits
 
 
 @lru_cache

@@ -35,12 +35,13 @@ def differences(
     """Compare the compiled model of an MJCF with that of its robot, a `Declared`. `turn`: orientation of the trunk at
     home in the file, a quaternion. `key`: the keyframe of its posture, if any."""
     soles = soles_of(file, robot.feet, robot.ground_geoms)
-    rows = [row for sole in soles for row in _of_sole(file, sole)]
+    pairs = touching(file)
+    rows = [row for sole in soles for row in _of_sole(file, sole, pairs)]
     for name in sorted(name for name in dir(file.opt) if not name.startswith("_")):
         words = [_option(name, np.ravel(getattr(model.opt, name))) for model in (file, here)]
         rows += [("", f"option {name}", *words)] if words[0] != words[1] else []
     kept = {sole.two for sole in soles if sole.one >= 0}
-    rows += [*_of_contacts(file, kept, robot.contacts == "feet"), *_of_actuators(file, here, robot.servo)]
+    rows += [*_of_contacts(file, pairs, kept, robot.contacts == "feet"), *_of_actuators(file, here, robot.servo)]
     if turn[0] != 1.0:
         angle = 2 * np.degrees(np.arccos(min(abs(turn[0]), 1.0)))
         rows.append((file.body(1).name, "frame of", f"turned by {angle:.3g} degrees at home", "upright at home"))
@@ -72,14 +73,12 @@ def _of_keyframe(file: mujoco.MjModel, driven: Sequence[str], key: str) -> Itera
             yield joint.name or str(joint.id), "home of", "as the keyframe moves it", "as drawn: it has no motor"
 
 
-def _of_sole(file: mujoco.MjModel, contact: Touching) -> Iterator[Row]:
+def _of_sole(file: mujoco.MjModel, contact: Touching, pairs: Sequence[Touching]) -> Iterator[Row]:
     kind, name = kind_of(file, contact.two), named(file, contact.two)
     if contact.one < 0:
         here = f"the plane z = 0; friction {contact.friction[0]:g}, solref and solimp of the shape"
         body = file.geom_bodyid[contact.two]
-        others = any(
-            kind_of(file, pair.one) == "plane" and file.geom_bodyid[pair.two] == body for pair in touching(file)
-        )
+        others = any(kind_of(file, pair.one) == "plane" and file.geom_bodyid[pair.two] == body for pair in pairs)
         yield name, "ground of", "no plane that it can touch" + ", as other shapes of its body can" * others, here
     if kind != "sphere":
         yield name, "shape of", kind, "2 balls, in its ends" if kind == "capsule" else "4 balls, in its corners"
@@ -90,9 +89,9 @@ def _of_sole(file: mujoco.MjModel, contact: Touching) -> Iterator[Row]:
         yield name, "adhesion or surfacevel of", "set", "none"
 
 
-def _of_contacts(file: mujoco.MjModel, kept: set[int], feet_only: bool) -> Iterator[Row]:
+def _of_contacts(file: mujoco.MjModel, pairs: Sequence[Touching], kept: set[int], feet_only: bool) -> Iterator[Row]:
     """Contacts that go: with `feet_only` all but those of the feet with the ground, else those with the world."""
-    for pair in touching(file):
+    for pair in pairs:
         both = [pair.one, pair.two]
         static = (file.body_weldid[file.geom_bodyid[both]] == 0).any()
         if (static and not kept.intersection(both)) or (feet_only and not static):

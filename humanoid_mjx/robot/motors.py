@@ -44,6 +44,12 @@ def motors_on(model: mujoco.MjModel, joint: int) -> Int[np.ndarray, " motors"]:
     return np.flatnonzero(np.isin(model.actuator_trntype, ON_JOINTS) & (model.actuator_trnid[:, 0] == joint))
 
 
+def _acting_on(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Those of `motors_on` that act."""
+    motors = motors_on(model, joint)
+    return motors[acting(model)[motors]].tolist()
+
+
 def gains(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
     """Return an actuator's stiffness, N m/rad, and damping, N m s/rad, at its joint; a damper's at full control."""
     found = -m.actuator_biasprm[motor, 1:3] * (m.actuator_biastype[motor] == BIAS.mjBIAS_AFFINE)
@@ -75,9 +81,9 @@ def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray
 
     The torque is the sum over actuators, without those that only damp, within the joint's own limit; infinite without.
     """
-    found, on = [], acting(model)
+    found = []
     for row in (model.joint(joint).id for joint in joints):
-        motors = [motor for motor in motors_on(model, row).tolist() if on[motor]]
+        motors = _acting_on(model, row)
         each = np.array([gains(model, motor) for motor in motors]).reshape(-1, 2)
         limits = motor_limits(model)[motors]
         drives = (each[:, 0] != 0) | (each[:, 1] <= 0)
@@ -92,10 +98,10 @@ def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray
 
 def setpoint_limits(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, "2 joints"]:
     """Return the lowest and highest set-points that each joint's position actuators take, rad; infinite without."""
-    found, on = np.repeat([[-np.inf], [np.inf]], len(joints), axis=1), acting(model)
+    found = np.repeat([[-np.inf], [np.inf]], len(joints), axis=1)
     for ends, row in zip(found.T, (model.joint(joint).id for joint in joints), strict=True):
-        for motor in motors_on(model, row).tolist():
-            if on[motor] and model.actuator_ctrllimited[motor] and gains(model, motor)[0] > 0:
+        for motor in _acting_on(model, row):
+            if model.actuator_ctrllimited[motor] and gains(model, motor)[0] > 0:
                 constant, slope = model.actuator_biasprm[motor, :2]
                 torques = model.actuator_gainprm[motor, 0] * model.actuator_ctrlrange[motor] + constant
                 ends[:] = np.clip(ends, *np.sort(torques / (-slope * model.actuator_gear[motor, 0])))
