@@ -126,13 +126,14 @@ def _robot(task: LeggedTask) -> dict[str, Any]:
         | {"unit": UNITS.get(name, "") if isinstance(name, str) else "", "divided_by": _plain(scale)}
         for name, part, scale in zip(observed, task.observed.parts, task.observed.scales, strict=True)
     ]
+    ends = [[None if np.isinf(end) else end for end in pair] for pair in robot.setpoint_limits.T.tolist()]
     points = np.array(robot.point_sensors).reshape(len(robot.feet), -1).tolist()
     return {
         "joints": list(robot.joints),
         "default_pose": _plain(task.robot.posture),
         "joint_ranges": _plain(robot.ranges_rad),
         "action_scale": _plain(task.moved(jnp.ones(count))),
-        **({"setpoint_limits": _plain(limits.T)} if np.isfinite(limits := robot.setpoint_limits).any() else {}),
+        **({"setpoint_limits": ends} if np.isfinite(robot.setpoint_limits).any() else {}),
         "smoothing": float(task.smoothing),
         "control": task.control.name,
         **{name: _plain(np.broadcast_to(np.asarray(gain), count)) for name, gain in gains.items()},

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from docs_reader import blocks
 from flax import linen as nn
+from tree_robots import FOUR_LEGS
 
 from humanoid_mjx import InputError, make_learner, make_task
 from humanoid_mjx.commands.export import export
@@ -26,6 +27,7 @@ from humanoid_mjx.learners.normalisation import Moments
 pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
 ROOT = Path(__file__).parent.parent.parent
+HOLD = '<position joint="hip_0_0" kp="80" ctrlrange="-.3 .5"/>'
 
 
 def trained_of(learner, key):
@@ -214,6 +216,21 @@ def test_the_contract_is_that_of_the_robot_and_in_every_file(tmp_path):
     export("walk", tmp_path / "c.c")
     of_c = json.loads((tmp_path / "c.json").read_text())
     assert of_c == {key: value for key, value in contract.items() if key != "controller"}
+
+
+def test_limits_of_set_points_are_null_where_there_is_none(tmp_path):
+    """One of eight joints has a position actuator with a range; the contract is JSON without numbers that are none."""
+    joints = [f"{kind}_{i}_{j}" for kind in ("hip", "knee") for i in "01" for j in "01"]
+    actuators = HOLD + "".join(f'<motor joint="{joint}"/>' for joint in joints[1:])
+    (tmp_path / "r.xml").write_text(FOUR_LEGS.replace("</mujoco>", f"<actuator>{actuators}</actuator></mujoco>"))
+    feet = "[foot_0_0, foot_1_0, foot_0_1, foot_1_1]"
+    (tmp_path / "r.yaml").write_text(f"model: r.xml\nfeet: {feet}\nservo: {{stiffness: 80}}\ntorque: 20\n")
+    task = make_task("walk", robot=str(tmp_path / "r.yaml"), symmetric=False, action_scale=45)
+    contract = contract_of(trained_of(make_learner("deep_q", task, width=8, layers=1), rng.key(0)))
+    limits = dict(zip(contract["joints"], contract["setpoint_limits"], strict=True))
+    assert limits.pop("hip_0_0") == [-0.3, 0.5] and all(pair == [None, None] for pair in limits.values())
+    np.testing.assert_allclose(contract["action_scale"], np.radians(45), rtol=1e-6)  # of the offset, without the limit
+    json.dumps(contract, allow_nan=False)
 
 
 def test_a_law_that_is_no_servo_has_no_gains_in_the_contract():
