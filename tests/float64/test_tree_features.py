@@ -68,6 +68,17 @@ def test_elliptic_cones_are_mujocos(xml, impratio):
     assert zones(model, at) >= {STICKS, SLIDES} | ({LEAVES} if xml is QUADRUPED else set())
 
 
+@pytest.mark.parametrize("option", ['integrator="Euler"', 'cone="elliptic"', 'integrator="RK4"'])
+@pytest.mark.parametrize("resists", ['damping="0.7"', 'armature="0.3"', 'frictionloss="0.8"', ""])
+def test_what_resists_a_free_joint_is_mujocos(resists, option):
+    """Each alone and all together: the joint of a class meant for hinges has them, too."""
+    resists = resists or 'damping="0.7" armature="0.3" frictionloss="0.8"'
+    xml = HINGED.replace("<freejoint/>", f'<joint type="free" {resists}/>').format(option=option)
+    model = converged(mujoco.MjModel.from_xml_string(xml))
+    assert model.dof_damping[:6].any() or model.dof_armature[:6].any() or model.dof_frictionloss[:6].any()
+    agree(model, dropped(model, 100))
+
+
 def test_shapes_on_a_plane_are_mujocos():
     """A box, cylinders that stand, lie and lean, an ellipsoid, on a slope."""
     agrees(SHAPES, count=500)

@@ -11,7 +11,7 @@ from humanoid_mjx.mechanics.tree.algebra import dot, turn
 from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.contacts import Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import product
-from humanoid_mjx.mechanics.tree.problem import Active, Problem, ground_residuals
+from humanoid_mjx.mechanics.tree.problem import Active, Problem, ground_residuals, rubbed
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 MOST_ROUNDS, NEAR = 8, 1e-3
@@ -131,6 +131,7 @@ def _pushing(tree: Tree, problem: Problem, active: Active, before: Sequence[Any]
 def _rubbing(tree: Tree, problem: Problem, active: Active, before: Sequence[Any], after: Sequence[Any]) -> list[Any]:
     """Dry friction likewise, its largest forces, and where `active` has these, by the sign of the residual."""
     found = []
+    before, after = rubbed(tree, problem, before), rubbed(tree, problem, after)
     for dof, slip in problem.slips.items():
         one, two = slip.residual(before[dof]), slip.residual(after[dof])
         found.append((slip.weight, one, two - one, slip.most, *active.slips[dof]))

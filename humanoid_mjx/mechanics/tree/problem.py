@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from humanoid_mjx.mechanics.tree.algebra import block, compose, cross, force_at, symmetric, transposed, turn
+from humanoid_mjx.mechanics.tree.algebra import block, column, compose, cross, force_at, symmetric, transposed, turn
 from humanoid_mjx.mechanics.tree.contacts import Friction, GapAt, Slip, Stop, Touch
 from humanoid_mjx.mechanics.tree.inertia import Matrix, felt, felt_forces, with_diagonal
-from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of
+from humanoid_mjx.mechanics.tree.kinematics import Kinematics, motions_of, to_local
 from humanoid_mjx.mechanics.tree.structure import Tree
 
 
@@ -74,14 +74,20 @@ class Active(NamedTuple):
     slips: dict[int, tuple[Any, Any]]
 
 
+def rubbed(tree: Tree, problem: Problem, x: Sequence[Any]) -> list[Any]:
+    """The accelerations that dry friction feels, in the axes of `qvel`."""
+    return to_local(tree, problem.kinematics, x) if tree.drag and tree.drag.dry else list(x)
+
+
 def active_at(tree: Tree, problem: Problem, x: Sequence[Any]) -> Active:
     """At these accelerations, but for the pairs."""
+    slid = rubbed(tree, problem, x)
     ground = ground_residuals(tree, problem.kinematics, problem.ground, x)
     return Active(
         [touch.active(touch.facets(v)) for touch, v in zip(problem.ground, ground, strict=True)],
         None,
         {dof: stop.close & (stop.residual(x[dof]) < 0.0) for dof, stop in problem.stops.items()},
-        {dof: slip.active(slip.residual(x[dof])) for dof, slip in problem.slips.items()},
+        {dof: slip.active(slip.residual(slid[dof])) for dof, slip in problem.slips.items()},
     )
 
 
@@ -99,10 +105,23 @@ def normal_equations(tree: Tree, problem: Problem, active: Active) -> tuple[Matr
         on = jnp.where(active.stops[dof], stop.weight, 0.0)
         matrix[dof] = with_diagonal(matrix[dof], on)
         right[dof] = right[dof] - on * stop.sign * stop.offset
+    turning: list[tuple[Any, Any]] = []
     for dof, slip in problem.slips.items():
         up, down = active.slips[dof]
         on = jnp.where(up | down, 0.0, slip.weight)
         most = jnp.where(up, slip.most, jnp.where(down, -slip.most, 0.0))
+        if tree.drag and dof in range(3, 6):
+            turning.append((on, on * slip.offset + most))
+            continue
         matrix[dof] = with_diagonal(matrix[dof], on)
         right[dof] = right[dof] - (on * slip.offset + most)
+    if turning:  # about the free body's own axes; its equations are in the world's
+        assert tree.free is not None
+        axes = problem.kinematics.poses[tree.free].axes
+        on, push = (column(part) for part in zip(*turning, strict=True))
+        more, less = compose(axes, on[:, None] * transposed(axes)), turn(axes, push)
+        for row in range(3):
+            start, end = matrix[3 + row][:3], matrix[3 + row][3:]
+            matrix[3 + row] = jnp.concatenate([start, end + more[row, : row + 1]])
+            right[3 + row] = right[3 + row] - less[row]
     return matrix, right

@@ -41,10 +41,12 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
     feet = tuple(dict.fromkeys(geoms)) if feet is None else feet
     x, y, z = (0.0,) * 3 if _off(model, FLAGS.mjDSBL_GRAVITY) else (float(part) for part in model.opt.gravity)
     bodies = tuple(_body(model, index) for index in range(model.nbody))
+    joints = [joint for body in bodies for joint in body.joints]
     of_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     return st.Tree(
         bodies=bodies,
         free=int(model.jnt_bodyid[free[0]]) if len(free) else None,
+        drag=(drag := _drag(model) if len(free) else None),
         coordinates=tuple((index,) for index in range(model.nq)),
         dofs=tuple((index,) for index in range(model.nv)),
         lanes=1,
@@ -61,7 +63,7 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
         accelerometers=_sites(model, sensors, mujoco.mjtSensor.mjSENS_ACCELEROMETER),
         gravity=(x, y, z),
         timestep=float(model.opt.timestep),
-        integrator=_integrator(model, any(joint.damping for body in bodies for joint in body.joints)),
+        integrator=_integrator(model, any(each.damping for each in (*joints, *([drag] if drag else ())))),
     )
 
 
@@ -103,10 +105,6 @@ def _joint(m: mujoco.MjModel, joint: int) -> st.Joint:
         lower, upper = (float(x) for x in m.jnt_range[joint])
         softness = _softness(m, m.jnt_solref[joint], m.jnt_solimp[joint])
         limit = st.Limit(lower, upper, float(m.jnt_margin[joint]), float(m.dof_invweight0[dof]), softness)
-    dry, most = None, float(m.dof_frictionloss[dof])
-    if most and not _off(m, FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_FRICTIONLOSS):
-        softness = _softness(m, m.dof_solref[dof], m.dof_solimp[dof])
-        dry = st.Dry(most, float(m.dof_invweight0[dof]), softness)
     return st.Joint(
         coordinate=qpos,
         dof=dof,
@@ -115,12 +113,30 @@ def _joint(m: mujoco.MjModel, joint: int) -> st.Joint:
         anchor=_triple(m.jnt_pos[joint]),
         reference=float(m.qpos0[qpos]),
         armature=float(m.dof_armature[dof]),
-        damping=0.0 if _off(m, FLAGS.mjDSBL_DAMPER) else float(m.dof_damping[dof]),
+        damping=_damping(m, dof),
         stiffness=0.0 if _off(m, FLAGS.mjDSBL_SPRING) else float(m.jnt_stiffness[joint]),
         spring=float(m.qpos_spring[qpos]),
         limit=limit,
-        dry=dry,
+        dry=_dry(m, dof),
     )
+
+
+def _damping(m: mujoco.MjModel, dof: int) -> float:
+    return 0.0 if _off(m, FLAGS.mjDSBL_DAMPER) else float(m.dof_damping[dof])
+
+
+def _dry(m: mujoco.MjModel, dof: int) -> st.Dry | None:
+    most = float(m.dof_frictionloss[dof])
+    if not most or _off(m, FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_FRICTIONLOSS):
+        return None
+    return st.Dry(most, float(m.dof_invweight0[dof]), _softness(m, m.dof_solref[dof], m.dof_solimp[dof]))
+
+
+def _drag(m: mujoco.MjModel) -> st.Drag | None:
+    """What resists a free body, whose degrees of freedom are the first six; its joint has one value of each kind."""
+    dry = tuple(found for dof in (0, 3) if (found := _dry(m, dof)))
+    drag = st.Drag(float(m.dof_armature[0]), _damping(m, 0), dry)
+    return drag if drag != (0.0, 0.0, ()) else None
 
 
 def _sites(m: mujoco.MjModel, sensors: Sequence[str], kind: Any) -> tuple[st.Site, ...]:

@@ -155,8 +155,6 @@ def _of_structure(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
         yield late, "a free body that is not the first that moves", "the free body before all others"
         beside = np.any(m.body_rootid[1:][moving] != m.jnt_bodyid[free[0]])
         yield beside, "moving bodies beside a free one", "all joints on the free body"
-        resisting = any(of[:6].any() for of in (m.dof_damping, m.dof_armature, m.dof_frictionloss))
-        yield resisting, "damping, armature or friction of a free joint", "a <freejoint/> without a class"
 
 
 def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:

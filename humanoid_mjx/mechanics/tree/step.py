@@ -81,6 +81,10 @@ def make_state(tree: Tree, values: Values, qpos: list[Any], qvel: list[Any]) -> 
         armature[dof] = numbers(joint.armature)
         damping[dof] = numbers(joint.damping) * (1.0 if values.damping is None else values.damping)
         passive[dof] = -(damping[dof] * qvel[dof]) - numbers(joint.stiffness) * stretch
+    if tree.drag:
+        armature[:6] = [numbers(tree.drag.armature)] * 6
+        damping[:6] = [numbers(tree.drag.damping) * (1.0 if values.damping is None else values.damping)] * 6
+        passive[:6] = [-(each * speed) for each, speed in zip(damping[:6], velocity[:6], strict=True)]
     moving = velocity, motions_of(tree, kinematics, velocity), masses, drifts
     matrix = mass_matrix(tree, kinematics, masses, armature)
     bias = bias_forces(tree, kinematics, masses, drifts, gravity)
@@ -181,6 +185,8 @@ def accelerate(
         if joint.limit is not None
     }
     slips = {joint.dof: slip_of(joint.dry, state.qvel[joint.dof]) for joint in tree.joints if joint.dry is not None}
+    for part, dry in enumerate(tree.drag.dry if tree.drag else ()):
+        slips |= {dof: slip_of(dry, state.qvel[dof]) for dof in range(3 * part, 3 * part + 3)}
     problem = Problem(state.matrix, force, at, state.velocity, ground, pairs, stops, slips, ended)
     if not (ground or pairs or stops or slips):
         return problem, Solution(factor(tree, state.matrix).solve(force), jnp.bool_(True))

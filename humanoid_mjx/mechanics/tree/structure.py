@@ -65,6 +65,16 @@ class Dry(NamedTuple):
     softness: Softness
 
 
+class Drag(NamedTuple):
+    """What resists the motion of a free body: alike along and about all axes."""
+
+    armature: float
+    damping: float
+    """N s/m, N m s/rad"""
+    dry: tuple[Dry, ...]
+    """Along an axis and about one; none without dry friction."""
+
+
 class Joint(NamedTuple):
     """A joint with one axis."""
 
@@ -220,6 +230,8 @@ class Tree(NamedTuple):
     """The world is the first; parents come before their children."""
     free: int | None
     """The body that floats, whose six degrees of freedom are the first; None: everything hangs on the world."""
+    drag: Drag | None
+    """What resists the floating body; None where nothing does."""
     coordinates: tuple[tuple[int, ...], ...]
     dofs: tuple[tuple[int, ...], ...]
     """Index of each coordinate in `qpos` and of each degree of freedom in `qvel`: one, or one for each lane."""
