@@ -12,7 +12,7 @@ from humanoid_mjx.files import meant, read_text, refuse_pipe
 from humanoid_mjx.mechanics.tree.refusing import faults, robot_faults, sensors_of
 from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.robot.description import IMU
-from humanoid_mjx.robot.mjcf import checked, files_of, is_xml, read_spec
+from humanoid_mjx.robot.mjcf import checked, files_of, is_xml, place_of, read_spec
 from humanoid_mjx.robot.motors import motors_on
 from humanoid_mjx.robot.touching import kind_of, pairs_of, word
 from humanoid_mjx.spec import InputError
@@ -21,11 +21,12 @@ JOINT = mujoco.mjtJoint
 
 
 def survey(path: str) -> tuple[list[str], bool]:
-    """Return lines that say what an MJCF file has, and whether the tree takes it as it is.
+    """Return lines that say what an MJCF has, a file or package:NAME/PATH, and whether the tree takes it as it is.
 
     Raises:
-      InputError: there is no such file, MuJoCo cannot compile it, its time step is none, or nothing in it moves.
+      InputError: there is no such package or file, MuJoCo cannot compile it, its time step is none, or nothing in it moves.
     """
+    path = str(place_of(path, Path("info")))
     refuse_pipe(Path(path))
     if not Path(path).is_file():
         raise InputError(f"info: there is no file {path}{meant(path, 'model', 'robot')}.")
