@@ -24,7 +24,7 @@ def survey(path: str) -> tuple[list[str], bool]:
     """Return lines that say what an MJCF has, a file or package:NAME/PATH, and whether the tree takes it as it is.
 
     Raises:
-      InputError: there is no such package or file, MuJoCo cannot compile it, its time step is none, or nothing in it moves.
+      InputError: there is no such package or file, MuJoCo cannot compile it, its time step is none, or nothing moves.
     """
     path = str(place_of(path, Path("info")))
     refuse_pipe(Path(path))

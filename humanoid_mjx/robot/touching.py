@@ -171,9 +171,10 @@ def _fault(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> str:
 
 
 def _alone(m: mujoco.MjModel, geom: int) -> Touching:
-    """Contact parameters of a shape with a plane that decides nothing."""
+    """Contact parameters of a shape with a plane that decides nothing but that there is friction."""
+    condim = max(int(m.geom_condim[geom]), 3)
     softness = m.geom_margin[geom], m.geom_solref[geom], m.geom_solimp[geom], np.zeros(2)
-    return Touching(-1, geom, 3, m.geom_friction[geom, [0, 0]], *softness, False)
+    return Touching(-1, geom, condim, m.geom_friction[geom, [0, 0]], *softness, False)
 
 
 def balls_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> list[tuple[Float[np.ndarray, "3"], float]]:
@@ -239,14 +240,14 @@ def strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
 
 
 def add_ground(spec: mujoco.MjSpec, model: mujoco.MjModel, soles: Sequence[Touching]) -> None:
-    """Add a plane z = 0 to a file without one. All that can touch anything touches it, and the soles; its own contact
-    parameters count nothing."""
+    """Add a plane z = 0 to a file without one. All that can touch anything touches it, and the soles, which rub on it
+    whatever their condim; its own contact parameters count nothing."""
     shapes = [next(shape for shape in spec.geoms if shape.id == sole.two) for sole in soles]
     plane = {"type": GEOM.mjGEOM_PLANE, "size": (0.0, 0.0, 0.05), "priority": int(model.geom_priority.min()) - 1}
     spec.worldbody.add_geom(PLAIN, name=GROUND, contype=(1 << 31) - 1, conaffinity=(1 << 31) - 1, **plane)
     for index, (shape, sole) in enumerate(zip(shapes, soles, strict=True)):
-        if not shape.contype | shape.conaffinity:
+        if not shape.contype | shape.conaffinity or shape.condim < sole.condim:
             shape.name = shape.name or f"sole{index}"
             pair = spec.add_pair(PLAIN, geomname1=GROUND, geomname2=shape.name, margin=shape.margin, gap=shape.gap)
-            pair.condim, pair.friction = shape.condim, model.geom_friction[sole.two][[0, 0, 1, 2, 2]]
+            pair.condim, pair.friction = sole.condim, model.geom_friction[sole.two][[0, 0, 1, 2, 2]]
             pair.solref, pair.solimp = shape.solref, shape.solimp

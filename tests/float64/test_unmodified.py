@@ -183,19 +183,19 @@ def test_actuators_of_other_parts_keep_the_controls_of_the_keyframe(tmp_path):
     compare(robot, tmp_path, "position", others=[4.0])
 
 
-def test_the_ground_of_a_file_without_one_leaves_all_to_the_feet(tmp_path):
+@pytest.mark.parametrize("condim", [1, 6])
+def test_the_ground_of_a_file_without_one_leaves_all_but_that_they_rub_to_the_feet(condim, tmp_path):
     seen = '<geom type="plane" size="5 5 .1" contype="0" conaffinity="0"/>'
     bare = (
         ('<geom name="floor" type="plane" size="5 5 .1"/>', seen),
-        ('name="foot"', 'name="foot" friction=".3" condim="6"'),
+        ('name="foot"', f'name="foot" friction=".3" condim="{condim}"'),
     )
     robot = made(tmp_path, "position", *bare)
     assert make_physics("unmodified", robot=robot).words(0.02).endswith("a plane z = 0 in place of a ground")
     text = (tmp_path / "file.xml").read_text()
     plane = '<worldbody><geom type="plane" size="5 5 .1" friction="0" condim="1"/>'
-    (tmp_path / "file.xml").write_text(
-        text.replace("<worldbody>", plane, 1).replace('condim="6"', 'condim="6" priority="1"')
-    )
+    rubs = f'condim="{max(condim, 3)}" priority="1"'
+    (tmp_path / "file.xml").write_text(text.replace("<worldbody>", plane, 1).replace(f'condim="{condim}"', rubs))
     compare(robot, tmp_path, "position")
 
 

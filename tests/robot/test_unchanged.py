@@ -174,6 +174,12 @@ HEEL = '<geom name="foot"', '<geom name="heel" type="sphere" size=".02" pos="0 0
             5e-4,
         ),
         ([feet('contype="2" conaffinity="2"')], "ground of", NO_PLANE, 0.1),
+        (
+            [feet('contype="2" conaffinity="2" condim="4"')],
+            "condim of",
+            ("4: resists twisting or rolling", "3: resists sliding"),
+            0.1,
+        ),
         ([feet('contype="2" conaffinity="2"'), HEEL], "ground of", (f"{NO_PLANE[0]}, {AS_OTHERS}", None), 0),
         ([contact('<exclude body1="world" body2="calf_FOOT"/>')], "ground of", NO_PLANE, 0.1),
         ([feet('adhesion="5"')], "adhesion or", ("set", "none"), 0.005),
