@@ -301,6 +301,10 @@ def unmodified() -> str:
     return table("policy | physics | upright to the end, % | return", rows)
 
 
+COMMANDS = "stand", "forward", "turn"
+"""How the commands begin that each seed plays in a robot's own file."""
+
+
 def public_robots(ships: bool = True) -> str:
     """Return how public robots walk after a training on one GPU: as they ship, or in other trials."""
     rows, found = [], [(card, row) for card in ("h100", "h200") for row in record(f"{card}_public_robots")["rows"]]
@@ -310,6 +314,9 @@ def public_robots(ships: bool = True) -> str:
         name, gait, seeds = row["robot"], row["gait"], [each["greedy_success"] for each in row["seeds"]]
         judged = [row.get("unmodified", {}).get(f"{name}{where}, greedy") for where in ("", ", unmodified")]
         own = [rounded(100 * each[0], 0) if each else "" for each in judged]
+        played = [each for words, each in row.get("unmodified_gait", {}).items() if words.startswith(COMMANDS)]
+        own.append(rounded(100 * float(np.mean([each["upright"] for each in played])), 0) if played else "")
+        own.append(rounded(max(each["error"] for each in played)) if played else "")
         ahead = [each for words, each in gait.items() if words.startswith("forward ")][:-1]  # the last one is too fast
         going = ", ".join(f"{each['moves'][0]:z.2f} of {each['told'][0]:.2f}" for each in ahead)
         turn = gait["turn +1.0"]["moves"][2]
@@ -323,7 +330,7 @@ def public_robots(ships: bool = True) -> str:
         cells = own_card, seconds, all_seeds, going, rounded(turn), *worst, *own
         rows.append((", ".join([f"`{name}`", *filter(None, [row.get("gains")])]), words, *cells))
     moves, falls = "goes, m/s | turns, of 1 rad/s", "worst seed upright, %: standing | ahead | sudden turns"
-    own = "best, `mujoco`, % | `unmodified`, %"
+    own = "best, `mujoco`, % | `unmodified`, % | all seeds, `unmodified`, % | error there, m/s"
     return table(f"robot | config | card | s | upright, five seeds, % | {moves} | {falls} | {own}", rows)
 
 
