@@ -37,12 +37,18 @@ def test_an_unsettled_world_is_flagged_and_stays(monkeypatch, worlds):
     assert (after.qpos[1] != start.qpos[1]).any()
 
 
-def test_ball_joints_are_refused():
-    body = '<body><joint name="j" type="ball"/><geom type="sphere" size="0.1"/></body>'
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+REFUSED = {"ball joints, as 'j'": 'name="j" type="ball"', "a spring of a free joint": 'type="free" stiffness="1"'}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_joints_that_are_refused(words):
+    body = f'<body><joint {REFUSED[words]}/><geom type="sphere" size="0.1"/></body>'
+    xml = f"<mujoco>{{}}<worldbody>{body}</worldbody></mujoco>"
     with pytest.raises(InputError) as error:
-        read_tree(model)
-    assert str(error.value) == "physics: the tree cannot represent ball joints, as 'j': take mujoco or mjx-jax."
+        read_tree(mujoco.MjModel.from_xml_string(xml.format("")))
+    assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco or mjx-jax."
+    if "spring" in words:
+        read_tree(mujoco.MjModel.from_xml_string(xml.format('<option><flag spring="disable"/></option>')))
 
 
 BOX = 'size=".1 .1 .1"'
