@@ -255,6 +255,13 @@ WRONG = {
     "humanoid_mjx.evaluate('stand', episodes=2.5)": "evaluate: episodes must be an integer of at least 1, got 2.5.",
     "humanoid_mjx.evaluate(None)": "a policy is named by a run folder, a policy file or a shipped name, got None.",
     "humanoid_mjx.sweep(None)": "sweep: config must be a config, its name or path, or a mapping of its keys, got None.",
+    "humanoid_mjx.sweep({3: 4})": "config: a key must be a string, got 3.",
+    "humanoid_mjx.sweep('maze', out=3)": "sweep: out must be the path of a run folder, got 3.",
+    "humanoid_mjx.sweep('maze', out='a\\0')": "sweep: out must be the path of a run folder, got 'a\\x00'.",
+    "humanoid_mjx.sweep('maze', pool_size='2')": "sweep: pool_size must be an integer of at least 1, got '2'.",
+    "humanoid_mjx.sweep('maze', trackers='wandb')": 'sweep: trackers must be a list such as ["tensorboard"], got',
+    "humanoid_mjx.sweep('maze', overrides='seeds=2')": 'overrides must be a list such as ["learner.epsilon=0.1"], got',
+    "humanoid_mjx.evaluate('walk', overrides=[3])": 'an override must be a string such as "learner.epsilon=0.1", got',
     "humanoid_mjx.play(policy)": "moves no robot",
 }
 PROGRAM = """

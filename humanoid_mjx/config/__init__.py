@@ -176,6 +176,8 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
     Raises:
       InputError: a key or value that cannot be used.
     """
+    if odd := [key for key in data if not isinstance(key, str)]:
+        raise InputError(f"{source}: a key must be a string, got {odd[0]!r}.")
     if odd := [key for key in data if key in BELOW]:
         raise InputError(f"{source}: {odd[0]}: this key does not stand at the top level; write {BELOW[odd[0]]}.")
     try:
@@ -187,7 +189,11 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
 
 
 def check_overrides(overrides: Sequence[str]) -> None:
-    """Raise an InputError if one of the overrides undoes an earlier one; the same one again is none of these."""
+    """Raise an InputError if these are no overrides, or one undoes an earlier one; the same one again undoes none."""
+    if isinstance(overrides, str) or not isinstance(overrides, Sequence):
+        raise InputError(f'overrides must be a list such as ["learner.epsilon=0.1"], got {shown(overrides)}.')
+    if odd := [override for override in overrides if not isinstance(override, str)]:
+        raise InputError(f'an override must be a string such as "learner.epsilon=0.1", got {shown(odd[0])}.')
     earlier: list[str] = []
     for override in dict.fromkeys(overrides):
         key = override.partition("=")[0]

@@ -129,6 +129,7 @@ def find_policy(name: Path | str, point: int | None = None, overrides: Sequence[
     Raises:
       InputError: there is nothing of the kind, or it cannot be read; `point` is given for what is no run folder.
     """
+    check_overrides(overrides)
     if not isinstance(name, (str, Path)):
         raise InputError(f"a policy is named by a run folder, a policy file or a shipped name, got {shown(name)}.")
     name = str(name)

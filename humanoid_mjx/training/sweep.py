@@ -5,6 +5,7 @@ from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import jax
@@ -147,6 +148,10 @@ def sweep(
         config = parse(dict(config))
     elif not isinstance(config, Config):
         raise InputError(f"sweep: config must be a config, its name or path, or a mapping of its keys, got {config!r}.")
+    if pool_size is not None and (type(pool_size) is not int or pool_size < 1):
+        raise InputError(f"sweep: pool_size must be an integer of at least 1, got {pool_size!r}.")
+    if isinstance(trackers, str) or not isinstance(trackers, Sequence):
+        raise InputError(f'sweep: trackers must be a list such as ["tensorboard"], got {trackers!r}.')
     check_later(config)  # before anything trains
     runs, part = list[Run](), config
     while part:
@@ -199,6 +204,8 @@ def open_folder(out: Path | str | None, plan: Plan, resume: bool, at_once: Seque
     Raises:
       InputError: the place cannot be used, or its disk cannot hold the run.
     """
+    if not isinstance(out, (str, Path, NoneType)) or "\0" in str(out):
+        raise InputError(f"sweep: out must be the path of a run folder, got {out!r}.")
     place = Path(out or run_path(plan.config.name, resume))
     check_disk(place, plan, at_once)
     while True:
