@@ -205,8 +205,7 @@ def rollout(
     env = as_continuous(task)
     allowed = env.allows(action)
     if isinstance(allowed, Tracer):
-        total, discounted = (jnp.where(allowed, x, jnp.nan) for x in (episode[1], episode[3]))
-        return Episode(episode.success & allowed, total, episode.steps, discounted)
+        return rollouts.marked(episode, allowed)
     if not allowed:
         kinds = _kinds(env.action_bins, env is task)
         raise InputError(f"rollout: the policy must return {kinds}; it returned {shown(action.tolist())}.")

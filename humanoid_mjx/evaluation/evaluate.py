@@ -18,7 +18,7 @@ from jaxtyping import Array, Key
 from humanoid_mjx.compute import Arithmetic, Program, jitted, rng
 from humanoid_mjx.evaluation.policy import StoredPolicy
 from humanoid_mjx.learners import Learner
-from humanoid_mjx.learners.rollout import AGENTS, Episode, agent, rollout
+from humanoid_mjx.learners.rollout import AGENTS, Episode, agent, score
 from humanoid_mjx.runs.statistics import Evaluation, estimated
 from humanoid_mjx.training.plan import resolved
 from humanoid_mjx.types import IntScalar
@@ -72,7 +72,7 @@ def evaluate_all(policies: Sequence[StoredPolicy], episodes: int) -> list[Evalua
 def _program(arithmetic: Arithmetic, program: Program) -> Callable[..., Episode]:
     def episode(learner: Learner, policy: Any, number: IntScalar, key: Key[Array, ""]) -> Episode:
         discount = getattr(learner, "discount", getattr(learner, "discounting", 1.0))
-        return rollout(learner.env, agent(learner, policy, number), key, discount)[0]
+        return score(learner, agent(learner, policy, number), key, discount)
 
     many = jax.vmap(episode, in_axes=(None, None, None, 0))
     return jitted(many, arithmetic, program)

@@ -118,7 +118,8 @@ class Learner(Spec):
         return state.obs
 
     def act(self, policy: Any, observation: Any, key: Key[Array, ""]) -> Any:
-        """The greedy action: a choice of each joint, int (joints,), or numbers in [-1, 1], float (joints,)."""
+        """The greedy action: a choice of each joint, int (joints,), or numbers in [-1, 1], float (joints,).
+        Episodes with another are no success, and their returns are NaN."""
         raise NotImplementedError
 
 

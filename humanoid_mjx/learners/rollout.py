@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from humanoid_mjx.learners import Learner
+from humanoid_mjx.spec import ships
 from humanoid_mjx.tasks.continuous import ContinuousTask, State
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
@@ -64,6 +65,19 @@ def rollout(
     return Episode(state.success, totals[0], steps, totals[1]), action
 
 
+def marked(episode: Episode, allowed: BoolScalar) -> Episode:
+    """Return the results of an episode; one in which an action was not allowed is no success, and both its returns are
+    NaN."""
+    total, discounted = (jnp.where(allowed, x, jnp.nan) for x in (episode.episode_return, episode.discounted_return))
+    return Episode(episode.success & allowed, total, episode.steps, discounted)
+
+
+def score(learner: Learner, choose: Choose, key: Key[Array, ""], discount: FloatScalar | float = 1.0) -> Episode:
+    """Play one episode of a learner's task. Actions of learners that do not ship are checked; see `marked`."""
+    episode, action = rollout(learner.env, choose, key, discount)
+    return episode if ships(type(learner)) else marked(episode, learner.env.allows(action))
+
+
 def start(env: ContinuousTask, key: Key[Array, ""]) -> State:
     """The first state of the episode with this key."""
     return env.reset(jax.random.split(key)[0])
@@ -108,8 +122,8 @@ def agent(learner: Learner, policy: Any, number: IntScalar) -> Choose:
     return choose
 
 
-def mean_scores(env: ContinuousTask, choose: Choose, episodes: int, key: Key[Array, ""]) -> dict[str, FloatScalar]:
+def mean_scores(learner: Learner, choose: Choose, episodes: int, key: Key[Array, ""]) -> dict[str, FloatScalar]:
     """Means over episodes side by side: `return`, `steps`, `success`."""
-    played = jax.vmap(lambda key: rollout(env, choose, key)[0])(jax.random.split(key, episodes))
+    played = jax.vmap(lambda key: score(learner, choose, key))(jax.random.split(key, episodes))
     scores = {"return": played.episode_return, "steps": played.steps, "success": played.success}
     return {name: jnp.mean(x, dtype=jnp.float32) for name, x in scores.items()}

@@ -137,7 +137,7 @@ def finish(learner: Learner, training: Training, key: Key[Array, ""]) -> dict[st
     diverged = training.failed | ~_finite(policy)
 
     def scores(policy: Any) -> dict[str, FloatScalar]:
-        means = mean_scores(learner.env, greedy(learner, policy), learner.evaluation_envs, key)
+        means = mean_scores(learner, greedy(learner, policy), learner.evaluation_envs, key)
         return {f"greedy_{name}": mean for name, mean in means.items()}
 
     if training.snapshots is None:

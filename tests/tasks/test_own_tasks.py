@@ -315,7 +315,7 @@ class Alone(StepLearner):
     def act(self, policy, observation, key):
         if self.wrong == "act":
             return policy + "a"
-        return jnp.zeros((2,) if self.wrong == "shape" else (1,), jnp.int32)
+        return jnp.full((2,) if self.wrong == "shape" else (1,), -1 if self.wrong == "range" else 0, jnp.int32)
 
 
 @pytest.mark.parametrize(
@@ -334,6 +334,16 @@ def test_a_learner_that_breaks_the_protocol_gets_one_sentence(wrong, says):
     train(make_learner(f"{__name__}:Alone", Hop(), **values), key(0))
     with pytest.raises(InputError, match=says):
         train(make_learner(f"{__name__}:Alone", Hop(), wrong=wrong, **values), key(0))
+
+
+def test_an_action_outside_its_range_scores_nothing():
+    """In the evaluation of a training; the index -1 is the last action else."""
+    right, wrong = (
+        train(make_learner(f"{__name__}:Alone", Hop(), wrong=name, total_steps=5, record=1), key(0)).scores
+        for name in ("", "range")
+    )
+    assert jnp.isfinite(right["greedy_return"]) and jnp.isnan(wrong["greedy_return"])
+    assert wrong["greedy_success"] == 0
 
 
 class Row(FiniteTask):
