@@ -6,7 +6,7 @@ returns, of `TABLES` here or in `walking_tables.py`.
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -305,33 +305,69 @@ COMMANDS = "stand", "forward", "turn"
 """How the commands begin that each seed plays in a robot's own file."""
 
 
-def public_robots(ships: bool = True) -> str:
-    """Return how public robots walk after a training on one GPU: as they ship, or in other trials."""
-    rows, found = [], [(card, row) for card in ("h100", "h200") for row in record(f"{card}_public_robots")["rows"]]
-    for card, row in found:
-        if row["robot"] == "t1_stiff" or row.get("ships", False) != ships:  # the first is a trial that did not help
-            continue
-        name, gait, seeds = row["robot"], row["gait"], [each["greedy_success"] for each in row["seeds"]]
-        judged = [row.get("unmodified", {}).get(f"{name}{where}, greedy") for where in ("", ", unmodified")]
-        own = [rounded(100 * each[0], 0) if each else "" for each in judged]
+def _public(ships: bool) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The rows of public robots as they ship, or of other trials, each with what trained it."""
+    for card in ("h100", "h200"):
+        for row in record(f"{card}_public_robots")["rows"]:
+            if row["robot"] != "t1_stiff" and row.get("ships", False) == ships:  # it is a trial that did not help
+                device = row["machine"]["device"] if "machine" in row else card
+                yield row.get("cores") or device.upper().removeprefix("NVIDIA ").split()[0], row
+
+
+def _named(row: dict[str, Any]) -> str:
+    return ", ".join([f"`{row['robot']}`", *filter(None, [row.get("gains")])])
+
+
+def _trained(row: dict[str, Any]) -> tuple[str, str]:
+    """The config of a row with its keys, and in how many of all episodes the worst and the best seed stayed upright."""
+    seeds = [each["greedy_success"] for each in row["seeds"]]
+    words = row.get("words") or "`" + " ".join([row["config"], *(f"--set {each}" for each in row["set"][2:])]) + "`"
+    return words, " to ".join(rounded(100 * each, 0) for each in (min(seeds), max(seeds)))
+
+
+def _ahead(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """The commands to go ahead as fast as in training."""
+    return [each for words, each in row["gait"].items() if words.startswith("forward ")][:-1]
+
+
+def _goes(row: dict[str, Any]) -> list[str]:
+    return [f"{each['moves'][0]:z.2f} of {each['told'][0]:.2f}" for each in _ahead(row)]
+
+
+def _best_in_file(row: dict[str, Any]) -> str:
+    found = row.get("unmodified", {}).get(f"{row['robot']}, unmodified, greedy")
+    return rounded(100 * found[0], 0) if found else ""
+
+
+def public_robots() -> str:
+    """Return how public robots stay upright after a training, here and in their own files."""
+    rows = []
+    for card, row in _public(ships=True):
+        seconds = f"{rounded(row['command_s'], 0)}, {card}" if row["command_s"] else ""
         played = [each for words, each in row.get("unmodified_gait", {}).items() if words.startswith(COMMANDS)]
-        own.append(rounded(100 * float(np.mean([each["upright"] for each in played])), 0) if played else "")
-        own.append(rounded(max(each["error"] for each in played)) if played else "")
-        ahead = [each for words, each in gait.items() if words.startswith("forward ")][:-1]  # the last one is too fast
-        going = ", ".join(f"{each['moves'][0]:z.2f} of {each['told'][0]:.2f}" for each in ahead)
-        turn = gait["turn +1.0"]["moves"][2]
-        worst = [rounded(100 * gait[words]["upright"][1], 0) for words in ("stand", "sudden turn")]
-        worst.insert(1, rounded(100 * min(each["upright"][1] for each in ahead), 0))
-        all_seeds = f"{rounded(100 * min(seeds), 0)} to {rounded(100 * max(seeds), 0)}"
-        words = "`" + " ".join([row["config"], *(f"--set {each}" for each in row["set"][2:])]) + "`"
-        seconds = rounded(row["command_s"], 0) if row["command_s"] else ""
-        device = row["machine"]["device"] if "machine" in row else card
-        own_card = row.get("cores") or device.upper().removeprefix("NVIDIA ").split()[0]
-        cells = own_card, seconds, all_seeds, going, rounded(turn), *worst, *own
-        rows.append((", ".join([f"`{name}`", *filter(None, [row.get("gains")])]), words, *cells))
-    moves, falls = "goes, m/s | turns, of 1 rad/s", "worst seed upright, %: standing | ahead | sudden turns"
-    own = "best, `mujoco`, % | `unmodified`, % | all seeds, `unmodified`, % | error there, m/s"
-    return table(f"robot | config | card | s | upright, five seeds, % | {moves} | {falls} | {own}", rows)
+        upright = rounded(100 * float(np.mean([each["upright"] for each in played])), 0) if played else ""
+        error = rounded(max(each["error"] for each in played)) if played else ""
+        rows.append((_named(row), _trained(row)[0], seconds, _trained(row)[1], _best_in_file(row), upright, error))
+    own = "own file, %: best | all seeds | error, m/s"
+    return table(f"robot | config | s, on | upright, five seeds, % | {own}", rows)
+
+
+def public_robots_go() -> str:
+    """Return how public robots go and turn after a training, and how the worst seed stays upright."""
+    rows = []
+    for _, row in _public(ships=True):
+        gait, worst = row["gait"], min(each["upright"][1] for each in _ahead(row))
+        worst = (gait["stand"]["upright"][1], worst, gait["sudden turn"]["upright"][1])
+        turn = rounded(gait["turn +1.0"]["moves"][2])
+        rows.append((_named(row), *_goes(row), turn, *(rounded(100 * each, 0) for each in worst)))
+    goes, worst = "goes, m/s: slowly | faster | fast", "worst seed upright, %: standing | ahead | sudden turns"
+    return table(f"robot | {goes} | turns, of 1 rad/s | {worst}", rows)
+
+
+def public_robots_tried() -> str:
+    """Return what else was tried with public robots."""
+    rows = [(_named(row), *_trained(row), *_goes(row), _best_in_file(row)) for _, row in _public(ships=False)]
+    return table("robot | config | upright, % | goes, m/s: slowly | faster | fast | own file, best, %", rows)
 
 
 def _on_cards(config: str, cards: int) -> str:
@@ -628,6 +664,8 @@ TABLES = {
         other_robots_taken,
         unmodified,
         public_robots,
+        public_robots_go,
+        public_robots_tried,
         scaling,
         faster_than_mjx,
     )
@@ -638,7 +676,6 @@ TABLES = {
     "cluster_start": lambda: rounded(record("scheduler")["start_s"]),
     "cluster_chunk": lambda: rounded(record("scheduler")["rows"][0]["chunk_s"]),
     "exactness": lambda: f"{max(r[k] for r in record('own_robots')['rows'] for k in ('acceleration', 'velocity')):.1e}",
-    "public_robots_tried": lambda: public_robots(ships=False),
     "one_task": lambda: sweeps(ONE_TASK),
     "rates": lambda: sweeps(RATES),
     "reproduce_minutes": lambda: rounded(record("cpu_2_cores_reproduce")["command_s"] / 60),
