@@ -40,6 +40,16 @@ def test_an_unsettled_world_is_flagged_and_stays(monkeypatch, worlds):
 REFUSED = {"ball joints, as 'j'": 'name="j" type="ball"', "a spring of a free joint": 'type="free" stiffness="1"'}
 
 
+def test_a_free_joint_resists_alike_in_all_directions():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint type="free" damping="1"/><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    assert read_tree(model).drag == (0.0, 1.0, ())
+    model.dof_damping[2] = 0.5
+    with pytest.raises(InputError, match="damping, armature or friction that differs along a free joint"):
+        read_tree(model)
+
+
 @pytest.mark.parametrize("words", REFUSED)
 def test_joints_that_are_refused(words):
     body = f'<body><joint {REFUSED[words]}/><geom type="sphere" size="0.1"/></body>'

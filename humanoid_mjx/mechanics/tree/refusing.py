@@ -155,6 +155,8 @@ def _of_structure(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
         yield late, "a free body that is not the first that moves", "the free body before all others"
         beside = np.any(m.body_rootid[1:][moving] != m.jnt_bodyid[free[0]])
         yield beside, "moving bodies beside a free one", "all joints on the free body"
+        uneven = any(np.ptp(of[:6]) for of in (m.dof_damping, m.dof_armature, m.dof_frictionloss))
+        yield uneven, "damping, armature or friction that differs along a free joint", "one value of each"
         sprung = m.jnt_stiffness[free[0]] and not option.disableflags & int(FLAGS.mjDSBL_SPRING)
         yield sprung, "a spring of a free joint", "a <freejoint/> without a class"
 
