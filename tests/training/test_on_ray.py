@@ -11,9 +11,11 @@ import pytest
 from small_sweep import CONFIG, LONG, assert_same_tables, write_config
 
 from humanoid_mjx import InputError, sweep
+from humanoid_mjx.config import load
 from humanoid_mjx.runs.tables import finished_runs
 from humanoid_mjx.training import chunks, on_ray
 from humanoid_mjx.training.on_ray import OnRay
+from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.progress import Reporter
 from humanoid_mjx.training.session import Session
 from humanoid_mjx.training.sweep import Run
@@ -124,6 +126,15 @@ class Hears(Reporter):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     return sweep(UNEVEN, tmp_path_factory.mktemp("whole") / "run").path
+
+
+def test_chunks_that_are_narrow_for_a_gpu_are_named():
+    plan = make_plan(load("leg_reach", ["seeds=64"]))
+    words = "chunks of 1 run suit the cache of a CPU core; GPUs train more side by side in little more time"
+    assert on_ray.too_narrow(plan, 2) == f"{words}: --set chunk=32"
+    for chosen in ("leg_reach seeds=64 chunk=8", "maze seeds=8", "walk seeds=1"):
+        name, *overrides = chosen.split()
+        assert on_ray.too_narrow(make_plan(load(name, overrides)), 2) == ""
 
 
 def test_workers_train_the_bits_of_this_process(cluster, tmp_path):
