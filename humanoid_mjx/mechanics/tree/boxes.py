@@ -80,27 +80,43 @@ def _placed(boxes: Sequence[Any], kinematics: Kinematics) -> Placed:
 
 def box_contacts(one: Placed, two: Placed, margin: float) -> tuple[Triple, Triple, Any]:
     """Places of the contacts in the world, normals from the first box to the second, and distances, m. Places and
-    distances have an axis of `CONTACTS`. Candidates that are no contacts are further apart than `margin`, m."""
+    distances have an axis of `CONTACTS`. Candidates that are no contacts are further apart than `margin`, m.
+
+    Most boxes are apart along the normal of a face: a kernel then computes no more."""
     between = two.middle - one.middle
     turned = jnp.stack([_along(two.axes, axis) for axis in one.axes])
     ahead, back = _along(one.axes, between), _along(two.axes, one.middle - two.middle)
     slack = SLACKS[ahead.dtype.itemsize]
     most = margin + slack.separation * (one.half.sum(axis=0) + two.half.sum(axis=0))
-    code, face, apart, edges = _least_overlap(turned, ahead, back, one.half, two.half, most, slack)
-    own = face < 3
-    spots, facing, depths, counts = _of_face(
-        jnp.where(own, face, face - 3),
-        *_where(own, (one, two, turned, ahead), (two, one, turned.swapaxes(0, 1), back)),
-        margin=margin,
-        slack=slack,
+    faces = jnp.concatenate(
+        [
+            abs(ahead) - one.half - _along(abs(turned), two.half),
+            abs(back) - two.half - _along(abs(turned).swapaxes(0, 1), one.half),
+        ]
     )
-    facing = jnp.where(own, facing, -1.0 * facing)
-    place, normal, gap = _of_edges(*edges, turned, ahead, one.half, two.half, slack)
-    outward = one.axes.swapaxes(0, 1)
-    place, normal, crossed = one.middle + _along(outward, place), _along(outward, normal), code == 6
-    counts = jnp.where(crossed, (_numbered(CONTACTS, gap) == 0) & (gap <= most), counts) & ~apart
-    spots, facing = jnp.where(crossed, place[:, None], spots), jnp.where(crossed, normal, facing)
-    return spots, facing, jnp.where(counts, jnp.where(crossed, gap, depths), margin + 1.0)
+
+    def near() -> tuple[Triple, Triple, Any]:
+        code, face, apart, edges = _least_overlap(turned, ahead, faces, one.half, two.half, most, slack)
+        own = face < 3
+        spots, facing, depths, counts = _of_face(
+            jnp.where(own, face, face - 3),
+            *_where(own, (one, two, turned, ahead), (two, one, turned.swapaxes(0, 1), back)),
+            margin=margin,
+            slack=slack,
+        )
+        facing = jnp.where(own, facing, -1.0 * facing)
+        place, normal, gap = _of_edges(*edges, turned, ahead, one.half, two.half, slack)
+        outward = one.axes.swapaxes(0, 1)
+        place, normal, crossed = one.middle + _along(outward, place), _along(outward, normal), code == 6
+        counts = jnp.where(crossed, (_numbered(CONTACTS, gap) == 0) & (gap <= most), counts) & ~apart
+        spots, facing = jnp.where(crossed, place[:, None], spots), jnp.where(crossed, normal, facing)
+        return spots, facing, jnp.where(counts, jnp.where(crossed, gap, depths), margin + 1.0)
+
+    def far() -> tuple[Triple, Triple, Any]:
+        spots, facing, distance = jax.tree.map(jnp.zeros_like, jax.eval_shape(near))
+        return spots, facing, distance + (margin + 1.0)
+
+    return jax.lax.cond((faces <= most).all(axis=0).any(), near, far)
 
 
 def _dot(a: Triple, b: Triple) -> Any:
@@ -135,7 +151,7 @@ def _rolled(index: Any, v: Triple) -> Triple:
 
 
 def _least_overlap(
-    turned: Triple, ahead: Triple, back: Triple, one: Triple, two: Triple, most: Any, slack: Slack
+    turned: Triple, ahead: Triple, faces: Any, one: Triple, two: Triple, most: Any, slack: Slack
 ) -> tuple[Any, Any, Any, tuple[Any, Any, Triple]]:
     """The separating axis test. Further apart than `most`, m, is apart.
 
@@ -144,9 +160,7 @@ def _least_overlap(
       edges; the best of the faces; whether some axis separates the boxes; the edges, of the first and of the second
       box, whose cross product is the best, and that in the first box's axes.
     """
-    size = abs(turned)
-    overlaps = [abs(ahead) - one - _along(size, two), abs(back) - two - _along(size.swapaxes(0, 1), one)]
-    overlaps = jnp.unstack(jnp.concatenate(overlaps))
+    overlaps = jnp.unstack(faces)
     least, face, apart = overlaps[0], jnp.zeros(overlaps[0].shape, jnp.int32), overlaps[0] > most
     for number, overlap in enumerate(overlaps[1:], 1):
         face, least = _where(overlap > least, (number, overlap), (face, least))
