@@ -4,8 +4,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from flax import linen as nn
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 
 from humanoid_mjx.learners.deep import DeepQ
 from humanoid_mjx.tasks.legged.episode import Episode
@@ -17,24 +16,16 @@ TURNING = 90.0
 """Speed at which set-points go where a person wants them, degrees/s: a jump would throw the robot."""
 
 
-class Middle(nn.Module):
-    """Values that are greatest for the middle choice of each joint."""
-
-    choices: tuple[int, ...]
-
-    @nn.compact
-    def __call__(self, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints bins"]:
-        scale: Any = self.param("scale", nn.initializers.ones, ())  # optimizers want something to learn
-        middle = (np.array(self.choices)[:, None] - 1) // 2
-        values = -scale * jnp.abs(jnp.arange(max(self.choices)) - middle)
-        return jnp.broadcast_to(values, (*obs.shape[:-1], *values.shape))
-
-
 class AtRest(DeepQ):
     """The middle choice always: each set-point stays at the posture that the task begins with."""
 
-    def network(self) -> nn.Module:
-        return Middle(tuple(self.env.action_bins))
+    def init_value(self, key: Key[Array, ""]) -> tuple[Any, Any]:
+        return {"params": {"scale": jnp.ones(())}}, ()
+
+    def q_values(self, value: Any, obs: Float[Array, "*batch size"]) -> Float[Array, "*batch joints bins"]:
+        middle = (np.array(self.env.action_bins)[:, None] - 1) // 2
+        values = -value["params"]["scale"] * jnp.abs(jnp.arange(self.bins) - middle)
+        return jnp.broadcast_to(values, (*obs.shape[:-1], *values.shape))
 
 
 class Posed(Stand):
