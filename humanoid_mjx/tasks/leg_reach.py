@@ -6,7 +6,6 @@ joints' ranges, and each link of the leg weighs up to `model_error` more or less
 gravity keeps the leg away from a set-point that equals the goal.
 """
 
-from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import jax
@@ -17,8 +16,9 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx.control import Control, at_rest
 from humanoid_mjx.control.laws import ComputedTorqueLaw
-from humanoid_mjx.physics import make_physics
+from humanoid_mjx.physics import kept_physics
 from humanoid_mjx.physics.base import Controller, Physics, World
+from humanoid_mjx.robot import make_robot
 from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, begin
 from humanoid_mjx.types import FloatScalar, IntScalar
@@ -108,7 +108,7 @@ class LegReach(ContinuousTask):
     @property
     def simulator(self) -> Physics:
         """Physics of the leg."""
-        return _simulator(self.physics, self.ranges, self.timestep)
+        return kept_physics(self.physics, robot=make_robot("leg", ranges=self.ranges), timestep=self.timestep)
 
     def reset(self, key: Key[Array, ""]) -> State:
         low, high = self.simulator.robot.ranges_rad.T
@@ -176,8 +176,3 @@ class LegReach(ContinuousTask):
     def _plant(self, mass: Float[Array, " joints"]) -> Physics:
         """The physics with the leg's own masses."""
         return self.simulator.replace(mass=mass)
-
-
-@lru_cache
-def _simulator(name: str, ranges: str, timestep: float) -> Physics:
-    return make_physics(name, robot={"name": "leg", "ranges": ranges}, timestep=timestep)
