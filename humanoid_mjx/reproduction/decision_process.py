@@ -41,7 +41,6 @@ LITERAL = {
 
 @experiment("finding-decay", "The declared decay of epsilon, applied", LITERAL)
 def decay(setting: Setting) -> Iterator[Finding]:
-    """The pseudo-code with its declared epsilonDecay applied."""
     for joint in thesis.JOINT_RANGES:
         setting.tell(f"joint {joint}: {RUNS} runs of {STEPS:,} steps")
         run = printed_run(joint, setting.config, runs=RUNS, steps=STEPS)

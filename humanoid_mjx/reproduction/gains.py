@@ -40,7 +40,6 @@ def table(setting: Setting) -> Iterator[Finding]:
 
 @experiment("resonance-5.6", "What the links' stiffness allows of the gains")
 def resonance(setting: Setting) -> list[Finding]:
-    """Section 5.6: what the links' stiffness allows of Kp, against Table 5.1."""
     return judge_gains(np.array(thesis.KP), _allowed_gains())
 
 

@@ -39,7 +39,6 @@ CONFIG = {
 
 @experiment("ground-control", "A servo and computed torque on the ground, still and pushed", CONFIG)
 def control(setting: Setting) -> list[Finding]:
-    """Findings on the controllers that stand, and the pushes that they withstand."""
     still = {name: Trial(name) for name in CONTROLLERS}
     sides = [*((name, side) for name in PAIR for side in SIDES), (ROLL_HELD, "sideways")]
     pushed = {
@@ -84,7 +83,6 @@ HEADS = ("gait", "reading", "controller", "up, s", "forwards, m", "turn that las
 
 @experiment("gaits-4.8", "The gaits of Tables 4.5 and 4.6 on the ground", CONFIG)
 def walking(setting: Setting) -> Iterator[Finding]:
-    """Findings on walking, turning and balance."""
     played = play(printed_trials(), SECONDS, setting.config, setting.tell)
     setting.tell("balance")
     inside = {trial: balanced(path) for trial, path in played.items()}

@@ -53,7 +53,6 @@ class Switch(NamedTuple):
 
 @experiment("figure-7.17", "The initial posture of the legs")
 def initial(setting: Setting) -> list[Finding]:
-    """Figure 7.17: where the switch starts."""
     upright = {'As the figure has it, "0° for all the joint"': (0.0, 0.0, 0.0)}
     starts = {section: ends[0] for section, ends in thesis.POSTURES.items()}
     _draw(setting, "Initial", upright | {_words(*each): each[1] for each in starts.items()})
@@ -62,7 +61,6 @@ def initial(setting: Setting) -> list[Finding]:
 
 @experiment("figure-7.18", "The next posture of the legs, and the way there", TRAINING)
 def following(setting: Setting) -> Iterator[Finding]:
-    """Figure 7.18: where the switch ends, and how it gets there."""
     goals = {section: ends[1] for section, ends in thesis.POSTURES.items()}
     hip, _, ankle = goals["7H"]
     as_printed = (hip, PRINTED_GOAL["knee"], ankle)

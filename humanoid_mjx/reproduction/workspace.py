@@ -41,7 +41,6 @@ MOTIONS = {2: "straight walking", 3: "sudden turn", 4: "all joints"}
 
 @experiment("figure-7.1", "The planned motion of the joints", {"units": {"degree": thesis.FIGURE_7_5_DEGREE}})
 def planned_trajectories(setting: Setting) -> Iterator[Finding]:
-    """Figure 7.1: the five quintics."""
     degree = setting.config["units"]["degree"]
     t = np.linspace(0, thesis.QUINTIC_S, 201)
     angles, marks = np.degrees(planned(t).position) * degree, np.array(thesis.FIGURE_7_1)
