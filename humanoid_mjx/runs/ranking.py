@@ -247,7 +247,8 @@ def best_table(
     rows, wholes = [], summary.get(f"whole_{measure}", np.full(len(summary["point"]), np.nan))
     for point in points:
         low, high = statistics.interval(wholes[summary["point"] == point.point], 0.0 if quickest else -np.inf)
-        whole = _number(point.whole) + (f" ({low:.2f} to {high:.2f})" if low < high else "")
+        whole = f"{point.whole:.2f}" if np.isfinite(point.whole) else ""
+        whole += f" ({low:.2f} to {high:.2f})" if low < high else ""
         means = ([] if quickest else [f"{point.greedy_return:.4g}"]) + [f"{point.greedy_steps:.1f}", whole]
         diverged = f"{int(np.sum(summary['diverged'][summary['point'] == point.point]))} of {seeds}"
         cells = [str(point.point), *map(short, point.values), f"{point.success:.1%}", *means]
@@ -288,11 +289,6 @@ def find_levels(values: np.ndarray) -> Levels:
     edges = np.quantile(distinct, np.linspace(0, 1, BINS + 1))
     labels = [f"{short(a)} to {short(b)}" for a, b in pairwise(edges)]
     return Levels(labels, np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1))
-
-
-def _number(value: float) -> str:
-    """A mean for a reader; nothing where none is known."""
-    return f"{value:.2f}" if np.isfinite(value) else ""
 
 
 def short(value: Any) -> str:
