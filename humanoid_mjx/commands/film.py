@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -94,17 +95,22 @@ def _show(
     _start(physics, changes)
     from humanoid_mjx.evaluation.live import Live
     from humanoid_mjx.evaluation.policy import find_policy, in_worlds, played_by
+    from humanoid_mjx.files import names
     from humanoid_mjx.report.live import serve
+
+    def made(name: str, point: int | None = None) -> Live:
+        found = in_worlds([find_policy(name, point, changes)], [physics], changes)
+        for words in played_by(found):
+            console.print(words)
+        return Live(found[0], episode, robots)
 
     with Bar(console) as bar:
         bar.phase("loading")
-        found = in_worlds([find_policy(policy, point, changes)], [physics], changes)
-        live = Live(found[0], episode, robots)
+        live = made(policy, point)
     live.told |= told
-    for words in played_by(found):
-        console.print(words)
+    others = {name: partial(made, name) for name in names("policies", ".npz")}
     with suppress(KeyboardInterrupt):
-        serve(live, console.print, port=port or 0)
+        serve(live, console.print, port=port or 0, others={policy: partial(made, policy, point), **others})
 
 
 def _pixels(size: str) -> tuple[int, int]:

@@ -35,27 +35,35 @@ SLOWEST = 0.05
 BESIDE = 1.0
 """Distance at which several robots are drawn beside each other, as a share of the robot's extent."""
 
+NOTE_S = 15.0
+"""Time for which the page says why it has no other policy, s."""
+
 LAST_EPISODE = 10**6
 """Largest number of an episode, as of `play --episode`."""
 
 
-def serve(live: Live, told: Callable[[str], None], *, port: int = 0) -> None:
+def serve(
+    live: Live, told: Callable[[str], None], *, port: int = 0, others: Mapping[str, Callable[[], Live]] = {}
+) -> None:
     """Show a live robot in the browser until Ctrl-C, from a server that only this machine can reach.
 
     Args:
       told: called with the address, once it answers.
       port: of the server; 0: any that is free.
+      others: what makes the robots of each policy that the page offers, first that of `live`.
 
     Raises:
       InputError: the port is taken.
     """
 
     def end(*_: Any) -> None:
-        if not live.ready:
+        shown: Window = server.shown
+        if not shown.live.ready:
             raise KeyboardInterrupt
-        live.stop()  # an exception would arise within a step of the physics, of which jax makes a failure
+        shown.wanted = None
+        shown.live.stop()  # an exception would arise within a step of the physics, of which jax makes a failure
 
-    with make_server(live, port) as server:
+    with make_server(live, port, tuple(others)) as server:
         address = f"http://{LOOPBACK}:{server.server_address[1]}/"
         threading.Thread(target=server.serve_forever, daemon=True).start()
         told(f"{address}  (Ctrl-C ends it)")
@@ -63,17 +71,21 @@ def serve(live: Live, told: Callable[[str], None], *, port: int = 0) -> None:
         before = signal.signal(signal.SIGINT, end)
         try:
             live.run()
+            while (wanted := server.shown.wanted) is not None:
+                server.shown = server.shown.followed(wanted, others[wanted])
+                server.shown.live.run()
         finally:
             signal.signal(signal.SIGINT, before)
 
 
-def make_server(live: Live, port: int = 0) -> Server:
-    """The server of a live robot on the loopback interface, which answers once it is let run; raises as `serve`."""
+def make_server(live: Live, port: int = 0, policies: Sequence[str] = ()) -> Server:
+    """The server of a live robot on the loopback interface, which answers once it is let run; raises as `serve`.
+    `policies`: those that the page offers, of which the first is the robot's."""
     try:
         server = Server(port)
     except OSError as error:
         raise InputError(f"--port {port}: {error.strerror}; without --port a free one is taken.") from error
-    server.shown = Window(live)
+    server.shown = Window(live, policies, *policies[:1])
     return server
 
 
@@ -109,9 +121,14 @@ class Seen(NamedTuple):
 class Window:
     """A live robot as the browser gets it, and the messages that come back."""
 
-    def __init__(self, live: Live):
+    def __init__(self, live: Live, policies: Sequence[str] = (), policy: str = ""):
         bodies = live.stage.bodies
-        self.live, self.model = live, live.model
+        self.live, self.model, self.policies, self.policy = live, live.model, policies, policy
+        self.wanted: str | None = None
+        """The policy that is to follow."""
+        self.follower: Window | None = None
+        self.note, self.until = "", 0.0
+        """Message that precedes those about the robots, and the moment until which it does, by the monotonic clock."""
         self.scene = make_scene(bodies[0].model, self.model.qpos0[None])
         self.touching = {*pairs_of(bodies[0].model)[1].ravel().tolist()} - {*bodies[0].planes.tolist()}
         """Geoms that may touch, but for planes."""
@@ -132,7 +149,7 @@ class Window:
         data["shapes"] = shapes * len(live.stage.bodies)
         data["distance"] *= 1.0 + 0.5 * (len(live.stage.bodies) - 1)
         data |= {
-            "live": {"scales": self.scales}
+            "live": {"scales": self.scales, "policies": self.policies, "policy": self.policy}
             | {name: getattr(live, name) for name in ("ranges", "told", "home", "touchable")},
             "legs": _legs(live),
             "first": self.now(),
@@ -146,12 +163,24 @@ class Window:
             with self.changed:
                 self.changed.wait_for(lambda: self.number != seen, timeout=1.0)  # noqa: B023
                 seen = self.number
-            yield json.dumps(self.now(), separators=(",", ":"))
+            yield json.dumps((self.follower or self).now(), separators=(",", ":"))
 
     def now(self) -> dict[str, Any]:
         """The newest frame, and what is true now; `compiling`: for how long it has, s, until it is ready."""
         live, compiling = self.live, None if self.live.ready else time.monotonic() - self.made
-        return self.frame | {"paused": not live.going.is_set(), "words": live.words, "compiling": compiling}
+        words = self.note if time.monotonic() < self.until else live.words
+        now = {"policy": self.policy, "words": words, "compiling": compiling}
+        return self.frame | now | {"paused": not live.going.is_set()}
+
+    def followed(self, policy: str, other: Callable[[], Live]) -> "Window":
+        """The window of another policy's robots, which browsers load in place of this one; or this one, which then says
+        why there are none."""
+        self.wanted = None
+        try:
+            self.follower = Window(other(), self.policies, policy)
+        except InputError as error:
+            self.note, self.until, self.live.over = str(error), time.monotonic() + NOTE_S, False
+        return self.follower or self
 
     def take(self, message: Any) -> None:
         """Do what the browser asks for.
@@ -174,6 +203,9 @@ class Window:
             elif name == "paused":
                 (live.going.clear if value else live.going.set)()
                 self._show(self.frame)  # a robot that waits shows no other
+            elif name == "policy":
+                self.wanted, self.note, self.until = value, f"{value} is loaded.", math.inf
+                live.stop()
             elif name == "once":
                 live.once = value
                 live.going.set()
@@ -190,6 +222,8 @@ class Window:
             return {part: _within(number, *self.live.ranges[part]) for part, number in value.items()}
         if name == "grab" and self.live.touchable:
             return self._grabs(value)
+        if name == "policy":
+            return self.policies[self.policies.index(value)]
         if name in ("paused", "once") and type(value) is bool:
             return value
         if name == "episode" and type(value) is int and abs(value) <= LAST_EPISODE:

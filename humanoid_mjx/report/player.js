@@ -543,7 +543,10 @@
       this.switches = { m: this.toggle("Centre of mass", "weighed"),
         c: this.toggle("Collision shapes", "touching", "Only the orange shapes can touch."),
         j: this.toggle("Axes", "turning", "Joints with a motor turn about the arrows, or slide along them.") };
-      const buttons = [this.paused, button("Step", () => this.once()), button("Restart", () => this.restart()),
+      const { policies, policy } = data.live;
+      const others = named(make("select", { onchange: () => this.send({ policy: others.value }) },
+        ...policies.map((value) => make("option", { value, selected: value === policy }, value))), "Policy");
+      const buttons = [...(policies.length ? [others] : []), this.paused, button("Step", () => this.once()), button("Restart", () => this.restart()),
         button("Next episode", () => this.send({ episode: 1 })), ...Object.values(this.switches), this.recorded];
       this.build(buttons, [0.1, 0.25, 0.5, 1], (pace) => this.send({ pace }), hints.filter(Boolean).join(" "), this.panel);
       const told = this.words;
@@ -562,6 +565,7 @@
       const stream = new EventSource("/frames");
       stream.onmessage = (event) => {
         this.latest = { ...JSON.parse(event.data), at: performance.now() };
+        if (this.latest.policy !== this.data.live.policy) return location.reload();
         if (this.latest.paused || this.latest.compiling !== null) this.since = this.latest.at;
         this.gone = "";
         if (!this.latest.paused || !this.history.length) this.history.push(this.latest);

@@ -1,5 +1,6 @@
 """A robot that a person drives: what hands do to it, what is seen of it, and who may reach the server."""
 
+import contextlib
 import http.client
 import json
 import os
@@ -7,6 +8,8 @@ import re
 import signal
 import threading
 import time
+import urllib.error
+import urllib.request
 from dataclasses import replace
 
 import jax
@@ -527,6 +530,84 @@ def test_ctrl_c_ends_it_in_silence(monkeypatch):
     threading.Thread(target=interrupt, daemon=True).start()
     serve(live, told.append)  # returns
     assert told[0].startswith("http://127.0.0.1:") and live.stage.time >= 0.1
+
+
+def browsed(monkeypatch, browse, others):
+    """Show `posture_switch` while `browse(address)` goes on in a thread."""
+    monkeypatch.setattr("webbrowser.open", lambda address: True)
+
+    def until_done(address):
+        try:
+            browse(address)
+        finally:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def told(words):
+        threading.Thread(target=until_done, args=(words.split()[0],), daemon=True).start()
+
+    serve(Live(find_policy("posture_switch")), told, others=others)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
+def test_a_page_that_is_open_shows_the_policy_that_it_chooses(monkeypatch):
+    seen, place = [], "document.querySelector('select[aria-label=Policy]')"
+
+    def browse(address):
+        with browser() as opened:
+            opened.open(address, 1280, 800)
+            seen.append(opened.value(f"{place}.textContent"))
+            opened.value(f"(() => {{ {place}.value = 'walk'; {place}.dispatchEvent(new Event('change')); }})()")
+            end = time.monotonic() + 300
+            while opened.value("document.querySelector('figure').player.data.live.policy") != "walk":
+                assert time.monotonic() < end
+                time.sleep(0.1)
+            seen.append(opened.value(f"{place}.value"))
+            seen.append(opened.faults)
+
+    browsed(monkeypatch, browse, {name: lambda: Live(find_policy("walk")) for name in ("posture_switch", "walk")})
+    assert seen == ["posture_switchwalk", "walk", []]
+
+
+def test_another_policy_is_chosen_in_the_page(monkeypatch):
+    """The browser gets another robot, or why there is none, at the address that it has."""
+    seen = []
+
+    def absent():
+        raise InputError("walk_cat: its package is missing.")
+
+    def ask(address, message):
+        request = urllib.request.Request(address + "hands", json.dumps(message).encode())
+        request.add_header("Content-Type", "application/json")
+        with contextlib.suppress(urllib.error.HTTPError):
+            return urllib.request.urlopen(request, timeout=60).status
+        return 400
+
+    def shown(address, true):
+        """The first frame that is so."""
+        with urllib.request.urlopen(address + "frames", timeout=300) as stream:
+            for line in stream:
+                if line.startswith(b"data: ") and true(frame := json.loads(line[6:])):
+                    return frame
+        raise AssertionError("the stream ended")
+
+    def browse(address):
+        begun = shown(address, lambda frame: frame["compiling"] is None)
+        seen.append(begun["policy"])
+        seen.append(ask(address, {"policy": "walk_horse"}))
+        seen.append(ask(address, {"policy": "walk_cat"}))
+        told = shown(address, lambda frame: "walk_cat: " in frame["words"] and frame["time"] > begun["time"] + 0.2)
+        seen.append((told["policy"], told["words"]))
+        ask(address, {"policy": "walk_dog"})
+        stands = shown(address, lambda frame: frame["policy"] == "walk_dog" and frame["compiling"] is None)
+        seen.append((stands["words"], len(stands["shapes"]) != len(begun["shapes"])))
+        page = urllib.request.urlopen(address, timeout=60).read().decode()
+        seen.append(bool(re.search('"policy": ?"walk_dog"', page)))
+
+    walk_dog = lambda: Live(find_policy("walk_dog"))  # noqa: E731
+    browsed(monkeypatch, browse, {"posture_switch": absent, "walk_cat": absent, "walk_dog": walk_dog})
+    assert seen[:3] == ["posture_switch", 400, 204]
+    assert seen[3:] == [("posture_switch", "walk_cat: its package is missing."), ("", True), True]
 
 
 def test_a_robot_with_a_physics_of_its_own_is_seen_but_not_touched():
