@@ -440,7 +440,7 @@ def sentence(
             return f"{key} must hold at least {least} {'entry' if least == 1 else 'entries'}{got}."
         case "int_type" if isinstance(fault["input"], float) and fault["input"].is_integer():
             return f"{key} must be an integer; write {int(fault['input'])}{got}."
-        case "int_type" | "float_type" if isinstance(fault["input"], (list, dict)):
+        case "int_type" | "float_type" if isinstance(fault["input"], (list, dict)) and parts[0] in ("task", "learner"):
             return f"{key} must be a number{got}; several values are an axis: write sweep.axes.{key}."
         case "string_type" if isinstance(fault["input"], (bool, int, float)):
             return f"{key} must be text{got}; put it into quotes."

@@ -114,7 +114,9 @@ class Config(pydantic.BaseModel):
                 raise ValueError(f"learner.{key}: unknown key; {key} stands at the top level")
         if self.then is not None and (odd := sorted(self.then.keys() - {*CHANGES})):
             raise ValueError(f"then.{odd[0]}: unknown key; what may change is {', '.join(CHANGES)}")
-        for axis in self.sweep.axes if self.sweep else ():
+        for axis in (axes := self.sweep.axes if self.sweep else {}):
+            if above := [other for other in axes if axis.startswith(f"{other}.")]:
+                raise ValueError(f"sweep.axes.{axis}: values of the axis {above[0]} replace it; leave one of them out")
             if self.then and _holds(self.then, axis.split(".")):
                 raise ValueError(f"then.{axis}: is an axis of the sweep; leave it out here or there")
             if not re.fullmatch(r"(task|learner)(\.\w+)+", axis) or re.fullmatch(r"\w+\.name", axis):
@@ -245,15 +247,15 @@ class _Loader(yaml.SafeLoader):
             raise yaml.constructor.ConstructorError(None, None, f"it holds more than {MAX_NODES:,} values")
         return node
 
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict:
-        seen: set[str] = set()
+    def compose_mapping_node(self, anchor: Any) -> Any:
+        node, seen = super().compose_mapping_node(anchor), set[str]()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str) or key in seen:
                 problem = f"key {shown(key)} {'appears twice' if isinstance(key, str) else 'is no string'}"
                 raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
             seen.add(key)
-        return super().construct_mapping(node, deep)
+        return node
 
 
 def _integer(loader: yaml.SafeLoader, node: Any) -> int:
@@ -265,6 +267,7 @@ def _integer(loader: yaml.SafeLoader, node: Any) -> int:
 
 
 _Loader.add_constructor("tag:yaml.org,2002:int", _integer)
+_Loader.add_constructor("tag:yaml.org,2002:merge", yaml.SafeLoader.construct_yaml_str)  # the key <<
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)[eE][-+]?\d+$"), list("-+.0123456789")
 )

@@ -69,7 +69,7 @@ def sweep_points(sweep: Sweep, seed: int) -> list[dict[str, Any]]:
         columns = [axis_values(name, axis) for name, axis in sweep.axes.items()]
     lengths = [len(column) for column in columns]
     for name, column in zip(sweep.axes, columns, strict=True):
-        if combined and len({(type(value), value) for value in column}) < len(column):
+        if combined and len({(isinstance(value, bool), value) for value in column}) < len(column):
             twice = next(value for place, value in enumerate(column) if value in column[:place])
             raise InputError(f"sweep.axes.{name}: the axis holds {twice!r} twice.")
     if sweep.mode == "zip" and len(set(lengths)) != 1:

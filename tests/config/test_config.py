@@ -7,7 +7,7 @@ import yaml
 
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.compute import rng
-from humanoid_mjx.config import check_overrides, config_digest, dump_yaml, load, parse
+from humanoid_mjx.config import check_overrides, config_digest, dump_yaml, load, parse, parse_yaml
 from humanoid_mjx.files import names
 from humanoid_mjx.training.plan import at_point, make_plan, resolved
 
@@ -95,6 +95,12 @@ BAD = {
     "empty axis": ("[0.1, 0.2]", "[]", ["sweep.axes.learner.epsilon", "empty"]),
     "no axes": ("    learner.epsilon: [0.1, 0.2]", "    {}", ["sweep.axes must hold at least 1 entry, got {}"]),
     "an axis with a value twice": ("[0.1, 0.2]", "[0.1, 0.2, 0.1]", ["learner.epsilon: the axis holds 0.1 twice"]),
+    "an axis with a number twice": ("[0.1, 0.2]", "[1, 0.2, 1.0]", ["learner.epsilon: the axis holds 1.0 twice"]),
+    "an axis below another one": (
+        "learner.epsilon: [0.1, 0.2]", "{task.robot.steps: [1, 2], task.robot: [go1, go2]}",
+        ["sweep.axes.task.robot.steps: values of the axis task.robot replace it; leave one of them out."],
+    ),
+    "a list of seeds": ("episodes: 20", "episodes: 20\nseeds: [1, 2]", ["seeds must be a valid integer, got [1, 2]."]),
     "an axis of too many values": ("[0.1, 0.2]", "{linspace: [0, 1, 2000000000]}", ["from 1 to 100,000"]),
     "a task that the learner cannot learn": (
         "{name: joint_reach, joint: 5, states: 13}", "{name: leg_reach}",
@@ -142,6 +148,13 @@ def test_bad_input_gets_one_sentence(write, fault):
     assert path in message
     for word in words:
         assert word in message, message
+
+
+def test_merge_keys_are_those_of_yaml(write):
+    text = "a: {b: {c: &x {<<: &y {k: 1, j: 3}, k: 2}}}\ntop: {<<: *x, z: 1}\nmany: {<<: [*y, {k: 5, l: 6}], j: 4}"
+    assert parse_yaml(text, "text") == yaml.safe_load(text)
+    shared = BASE.replace("{name: tabular_q,", "{<<: {name: tabular_q, epsilon: 0.9},")
+    assert load(write(shared)).learner == load(write(BASE)).learner
 
 
 BAD_OVERRIDES = {"learner.epsilon": "key=value", "=1": "key=value", "learner.epsilon.x=1": "holds a value"}
