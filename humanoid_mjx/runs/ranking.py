@@ -263,7 +263,8 @@ def _as_good(point: int, best: int, measured: Mapping[str, tuple[np.ndarray, np.
     for judged, words in ((found.policy, "no,"), (found.learning, "slower,")):
         if point not in judged.as_good and judged.measure:
             numbers, values = measured[judged.measure]
-            gap = statistics.difference(*(values[numbers == each][0] for each in (point, best)))
+            most = 1.0 if judged.measure.endswith("success") else np.inf
+            gap = statistics.difference(*(values[numbers == each][0] for each in (point, best)), most=most)
             return f"{words} {gap.low:+.3g} to {gap.high:+.3g}" if np.isfinite(gap.value) else ""
     return "yes"
 

@@ -74,9 +74,9 @@ def estimate(values: Num[np.ndarray, " n"], least: float = -inf, most: float = i
     return Estimate(float(np.median(values)), *map(float, interval(values, least, most)))
 
 
-def difference(one: Num[np.ndarray, " seeds"], other: Num[np.ndarray, " seeds"]) -> Estimate:
+def difference(one: Num[np.ndarray, " seeds"], other: Num[np.ndarray, " seeds"], most: float = inf) -> Estimate:
     """The difference of two points by their common seeds; they differ if its interval does not hold 0."""
-    return estimate(np.asarray(one, float) - np.asarray(other, float))
+    return estimate(np.asarray(one, float) - np.asarray(other, float), -most, most)
 
 
 def improvement(one: Num[np.ndarray, " n"], other: Num[np.ndarray, " m"]) -> float:
@@ -229,11 +229,11 @@ def mean_interval(values: Float[np.ndarray, "n ..."]) -> tuple[Float[np.ndarray,
 
 
 def iqm_interval(values: Num[np.ndarray, " n"]) -> tuple[float, float]:
-    """Interval of the interquartile mean of many episodes (J. Tukey and D. McLaughlin, 1963): Student's, by the values
-    beyond the quartiles moved to these."""
-    n, ordered = len(values), np.sort(values)
-    low, high = mean_interval(np.clip(ordered, ordered[n // 4], ordered[-1 - n // 4]).astype(float))
-    half, middle = float(high - low) if n > 1 else 0.0, float(iqm(values))  # the middle half, so twice the error
+    """Interval of the interquartile mean of episodes (J. Tukey and D. McLaughlin, 1963): Student's of the values
+    between the quartiles, by the spread of all, those beyond the quartiles moved to these."""
+    n, ordered, middle = len(values), np.sort(values), float(iqm(values))
+    spread = np.clip(ordered, ordered[n // 4], ordered[-1 - n // 4]).std(ddof=n > 1, dtype=float)
+    half = 2 * float(_student(n - 2 * (n // 4) - 1) * spread / n**0.5) if n > 1 else 0.0
     return middle - half, middle + half
 
 
@@ -266,5 +266,6 @@ def estimated(policy: str, agent: str, episodes: Mapping[str, np.ndarray]) -> Ev
     measures = (np.asarray(episodes[name], float) for name in ("return", "steps"))
     total, steps = (Estimate(float(iqm(x)), *map(float, iqm_interval(x))) for x in measures)
     rate = Estimate(float(success.mean()), *rate_interval(success))
+    steps = steps._replace(low=max(steps.low, 0.0))
     means = float(np.mean(episodes["return"])), float(iqm(np.asarray(episodes["discounted_return"], float)))
     return Evaluation(policy, agent, rate, total, steps, *means)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest, trim_mean
+from scipy.stats.mstats import trimmed_mean_ci
 from small_sweep import of_rows
 
 from humanoid_mjx.report.drawing import CURVES, HEAT_MAPS, TERMS
@@ -26,6 +27,12 @@ def test_the_interval_of_an_interquartile_mean_covers_the_truth_as_often_as_it_s
     ends = (iqm_interval(np.random.default_rng(trial).normal(size=100)) for trial in range(1000))
     # Four sigma of 1,000 trials are 3 %.
     assert 0.92 < np.mean([low <= 0 <= high for low, high in ends]) < 0.98
+
+
+@given(st.integers(4, 40), st.integers(0, 1000))
+def test_the_interval_of_an_interquartile_mean_is_that_of_scipys_trimmed_mean(quarters, seed):
+    values = np.random.default_rng(seed).exponential(size=4 * (quarters // 4))
+    np.testing.assert_allclose(iqm_interval(values), trimmed_mean_ci(values, (0.25, 0.25)), rtol=1e-9, atol=1e-12)
 
 
 @given(st.integers(1, 40), st.integers(0, 40))
