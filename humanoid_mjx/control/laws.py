@@ -80,6 +80,9 @@ class RobotServoLaw(Law):
         stiffness, damping = (np.asarray(gain, np.float32) for gain in robot.servo)
         return ServoLaw().replace(stiffness=self.stiffness * stiffness, damping=self.damping * damping)
 
+    def __call__(self, reference: Reference, state: Stages) -> Joints:
+        raise InputError("control: this task's robot has no servo of its own; take servo, and its gains.")
+
 
 class PDLaw(ServoLaw):
     """A servo that also follows a wanted velocity: it damps the velocity error, not the velocity."""

@@ -48,6 +48,11 @@ def test_each_law_is_its_formula():
         np.testing.assert_allclose(on_leg(law), right, rtol=1e-4, atol=1e-6, err_msg=name)
 
 
+def test_a_robot_without_a_servo_takes_no_robot_servo():
+    with pytest.raises(InputError, match="this task's robot has no servo of its own; take servo, and its gains"):
+        on_leg(make_law("robot_servo"))
+
+
 def test_in_the_air_without_a_servo_the_grounded_law_is_computed_torque():
     exact = on_leg(make_law("grounded", natural_frequency=6.0, share=0.0))
     np.testing.assert_allclose(exact, on_leg(make_law("computed_torque", natural_frequency=6.0)), rtol=1e-3, atol=1e-5)
