@@ -5,7 +5,7 @@
 is one environment alone, for libraries that batch environments themselves. Both need the extra `gym`.
 """
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import gymnasium
 import jax
@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from jaxtyping import Array, Key
 
 from humanoid_mjx.compute import rng
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, shown
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous, auto_reset
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -45,13 +45,15 @@ class TaskVectorEnv(VectorEnv):
           actions: `choices` or `numbers`; by default choices for finite tasks and numbers for continuous ones.
 
         Raises:
-          InputError: the task is neither finite nor continuous.
+          InputError: the task is neither finite nor continuous, or `actions` another word.
         """
         if not isinstance(task, (FiniteTask, ContinuousTask)):
             raise InputError(f"an environment takes a FiniteTask or a ContinuousTask, got a {type(task).__name__}.")
+        if actions not in (None, *get_args(Actions)):
+            raise InputError(f"actions must be {' or '.join(get_args(Actions))}, got {shown(actions)}.")
         actions = actions or ("choices" if isinstance(task, FiniteTask) else "numbers")
         self._task, self.num_envs = as_continuous(jax.tree.map(jnp.asarray, task)), num_envs
-        self._choices, self._goes_on = actions == "choices", True
+        self._choices, self._goes_on, self._state = actions == "choices", True, None
         bins, size = self._task.action_bins, self._task.observation_size
         space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (len(bins),), np.float32)
         if self._choices:
@@ -80,9 +82,18 @@ class TaskVectorEnv(VectorEnv):
         return np.array(self._state.obs, np.float32), {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Carry out one decision in every environment."""
-        given = np.asarray(actions, np.int32 if self._choices else np.float32).reshape(self.num_envs, -1)
-        self._state = self._after(self._state, jnp.asarray(given), self._key())
+        """Carry out one decision in every environment; raise an InputError before `reset`, or if these are no actions.
+        Numbers are cut off at -1 and 1."""
+        if self._state is None:
+            raise InputError("step: call reset first.")
+        given, bins = np.asarray(actions), np.array(self._task.action_bins)
+        if fits := given.dtype.kind in "iuf" and given.size == self.num_envs * len(bins):
+            given = given.reshape(self.num_envs, -1)
+            fits = (given >= 0) & (given < bins) & (given % 1 == 0) if self._choices else np.isfinite(given)
+        if not np.all(fits):
+            raise InputError(f"step: actions must be of {self.action_space}, got {shown(actions)}.")
+        given = jnp.asarray(given, jnp.int32 if self._choices else jnp.float32)
+        self._state = self._after(self._state, given, self._key())
         states = jax.device_get(self._state._replace(data=None))
         done = np.asarray(states.done, bool)
         infos = {name: np.array(term) for name, term in states.metrics.items()}

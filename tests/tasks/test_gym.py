@@ -71,6 +71,21 @@ def test_what_is_no_environment_gets_a_sentence():
         TaskVectorEnv(Task(), 2)
 
 
+@pytest.mark.parametrize(
+    ("kind", "actions"),
+    [("choices", each) for each in ([0, 2], [-1, 0], [0, 0.5], [0], [0, 1, 1, 0], ["a", "b"], [None, 0])]
+    + [("numbers", each) for each in ([0.0, np.nan], [0.0], [[0.0, 0.1], [0.2, 0.3]])],
+)
+def test_what_is_no_action_gets_a_sentence(kind, actions):
+    env = TaskVectorEnv(Hop(), 2, kind)
+    with pytest.raises(InputError, match="step: call reset first"):
+        env.step([0, 0])
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="step: actions must be of"):
+        env.step(actions)
+    env.step([0, 1])
+
+
 def test_a_step_is_that_of_the_task():
     task = Hop(stride=0.3)
     env = TaskEnv(task, "choices")
