@@ -33,7 +33,7 @@ from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.report.web import MEDIA, data_address
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.statistics import Evaluation
-from humanoid_mjx.spec import InputError, check_folder, shown
+from humanoid_mjx.spec import InputError, check_count, check_folder, shown
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
@@ -313,13 +313,16 @@ def evaluate(
     """
     from humanoid_mjx.evaluation.evaluate import evaluate_all
 
-    if not isinstance(episodes, (int, np.integer)) or episodes < 1:
-        raise InputError(f"evaluate: episodes must be an integer of at least 1, got {shown(episodes)}.")
+    check_count("evaluate: episodes", episodes, 1)
     return {each.agent: each for each in evaluate_all([_policy(what, point, physics, overrides)], episodes)}
 
 
 def plot(
-    *runs: Run | Path | str, x: str | None = None, y: str = "success", by: str | None = None, out: Path | None = None
+    *runs: Run | Path | str,
+    x: str | None = None,
+    y: str = "success",
+    by: str | None = None,
+    out: Path | str | None = None,
 ) -> Picture:
     """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds.
 
@@ -335,7 +338,7 @@ def plot(
     """
     from humanoid_mjx.report import plotting
 
-    path, notes = plotting.plot([_folder(run) for run in runs], x, y, by, out)
+    path, notes = plotting.plot([_folder(run) for run in runs], x, y, by, Path(out) if out else None)
     return Picture(path, " ".join(notes))
 
 
@@ -377,6 +380,7 @@ def film(
     from humanoid_mjx.evaluation.film import show
     from humanoid_mjx.report.rendering import render_film
 
+    check_count("play: episode", episode, 0)
     trained = _policy(what, point, physics, overrides)
     trained = trained if physics else policies.on_native(trained)
     (shown, outcome), target = show(trained, reporter, episode), Path(out or f"{trained.name}.gif")

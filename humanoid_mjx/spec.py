@@ -39,6 +39,12 @@ class InputError(ValueError):
     """A value from the user that cannot be used. The message is one sentence that says which values can."""
 
 
+def check_count(what: str, value: Any, least: int) -> None:
+    """Raise an InputError unless this is an integer of at least `least`; the message begins with `what`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise InputError(f"{what} must be an integer of at least {least}, got {shown(value)}.")
+
+
 def check_folder(file: Path, option: str = "") -> None:
     """Check that a file can be written: its folder exists, and it is not a folder itself.
 

@@ -253,6 +253,13 @@ WRONG = {
     "load_policy(None)": "a policy is named by a run folder, a policy file or a shipped name, got None.",
     "humanoid_mjx.evaluate('stand', episodes=0)": "evaluate: episodes must be an integer of at least 1, got 0.",
     "humanoid_mjx.evaluate('stand', episodes=2.5)": "evaluate: episodes must be an integer of at least 1, got 2.5.",
+    "humanoid_mjx.evaluate('stand', episodes=True)": "evaluate: episodes must be an integer of at least 1, got True.",
+    "humanoid_mjx.evaluate('stand', point='2')": "point must be an integer of at least 0, got '2'.",
+    "load_policy('stand', point=-1)": "point must be an integer of at least 0, got -1.",
+    "humanoid_mjx.play('stand', episode=-1)": "play: episode must be an integer of at least 0, got -1.",
+    "humanoid_mjx.play('stand', episode=1.5)": "play: episode must be an integer of at least 0, got 1.5.",
+    "humanoid_mjx.plot()": "plot: name a run folder.",
+    "humanoid_mjx.plot('runs/none', out='x.jpg')": "--out x.jpg: the file must end in .png.",
     "humanoid_mjx.evaluate(None)": "a policy is named by a run folder, a policy file or a shipped name, got None.",
     "humanoid_mjx.sweep(None)": "sweep: config must be a config, its name or path, or a mapping of its keys, got None.",
     "humanoid_mjx.sweep({3: 4})": "config: a key must be a string, got 3.",
@@ -263,12 +270,14 @@ WRONG = {
     "humanoid_mjx.sweep('maze', overrides='seeds=2')": 'overrides must be a list such as ["learner.epsilon=0.1"], got',
     "humanoid_mjx.evaluate('walk', overrides=[3])": 'an override must be a string such as "learner.epsilon=0.1", got',
     "humanoid_mjx.play(policy)": "moves no robot",
+    "TaskVectorEnv(task, 2, 'choice')": "actions must be choices or numbers, got 'choice'.",
 }
 PROGRAM = """
 import json, sys
 import jax, jax.numpy as jnp
 import humanoid_mjx
 from humanoid_mjx import InputError, Policy, key, load_policy, make_learner, make_task, rollout, train
+from humanoid_mjx.tasks.gym_env import TaskVectorEnv
 
 task, reach = make_task("joint_reach", joint=4, states=8, max_episode_steps=50), make_task("leg_reach")
 table = make_learner("tabular_q", task, episodes=5)
@@ -289,6 +298,12 @@ def test_a_wrong_argument_gets_one_sentence():
     assert done.returncode == 0, done.stderr
     for (call, says), said in zip(WRONG.items(), map(json.loads, done.stdout.splitlines()), strict=True):
         assert said.startswith("InputError: ") and says in said and "\n" not in said and said[-1] == ".", (call, said)
+
+
+def test_a_figure_named_by_a_string_is_of_its_kind(tmp_path):
+    run = humanoid_mjx.sweep("joint4", tmp_path / "run", overrides=["sweep=null", "seeds=1", "episodes=5"], quiet=True)
+    picture = humanoid_mjx.plot(run, out=str(tmp_path / "x.png"))
+    assert picture.path == tmp_path / "x.png" and picture.path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_policies_side_by_side_are_not_one(grid):

@@ -86,15 +86,7 @@ def plot(
 ) -> None:
     """Draw any column of the tables of runs over any other: lines with their 95 % interval over seeds."""
     from humanoid_mjx.report import plotting
-    from humanoid_mjx.report.rendering import FILMS
-    from humanoid_mjx.spec import InputError, check_folder
 
-    if out is not None:
-        films = FILMS if y == plotting.LEARNED else ()
-        if out.suffix not in (".png", *films):
-            also = f", or {', '.join(films)} for a film of the training" if films else ""
-            raise InputError(f"--out {out}: the file must end in .png{also}.")
-        check_folder(out, "--out")
     target, notes = plotting.plot(run, x, y, by, out)
     for note in notes:
         console.print(note)

@@ -25,7 +25,7 @@ from humanoid_mjx.runs.archive import HEADER, check_finite, read_archive
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import WHOLE, kept_runs, scores
-from humanoid_mjx.spec import InputError, check_folder, known, sentence, shown
+from humanoid_mjx.spec import InputError, check_count, check_folder, known, sentence, shown
 from humanoid_mjx.tasks import TASKS, name_of
 from humanoid_mjx.training.plan import MAX_RUNS, at_point, build, make_plan, points_of, resolved
 from humanoid_mjx.training.state import from_arrays, to_arrays
@@ -130,6 +130,8 @@ def find_policy(name: Path | str, point: int | None = None, overrides: Sequence[
       InputError: there is nothing of the kind, or it cannot be read; `point` is given for what is no run folder.
     """
     check_overrides(overrides)
+    if point is not None:
+        check_count("point", point, 0)
     if not isinstance(name, (str, Path)):
         raise InputError(f"a policy is named by a run folder, a policy file or a shipped name, got {shown(name)}.")
     name = str(name)

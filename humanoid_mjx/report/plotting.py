@@ -10,12 +10,13 @@ from matplotlib.ticker import NullLocator
 
 from humanoid_mjx.report.drawing import COUNTED, CURVES, HEAT_MAPS, draw_line, over_seeds, possible
 from humanoid_mjx.report.learned import draw_learned
+from humanoid_mjx.report.rendering import FILMS
 from humanoid_mjx.report.style import COLORS, count_axis, figure, is_geometric, label_lines, log_axis, shades
 from humanoid_mjx.runs.curves import swept
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.ranking import MAX_LEVELS, Levels, find_levels, furthest, short
 from humanoid_mjx.runs.tables import column_names, read_table
-from humanoid_mjx.spec import InputError, known
+from humanoid_mjx.spec import InputError, check_folder, known
 
 RUN = "run"
 """The column that several runs are told apart by."""
@@ -145,6 +146,14 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
     Raises:
       InputError: no run folder, a damaged table, a column that is not there or cannot be drawn, too many lines.
     """
+    if not paths:
+        raise InputError("plot: name a run folder.")
+    if out is not None:
+        films = FILMS if y == LEARNED else ()
+        if out.suffix not in (".png", *films):
+            also = f", or {', '.join(films)} for a film of the training" if films else ""
+            raise InputError(f"--out {out}: the file must end in .png{also}.")
+        check_folder(out, "--out")
     if y == LEARNED:
         if len(paths) > 1 or x or by:
             raise InputError(f"--y {LEARNED}: this draws the table of one run; leave out the other runs, --x and --by.")

@@ -15,7 +15,7 @@ from humanoid_mjx.config import Config, load, parse
 from humanoid_mjx.runs.folder import RunFolder, read_config, run_path
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import read_table
-from humanoid_mjx.spec import InputError
+from humanoid_mjx.spec import InputError, check_count
 from humanoid_mjx.training.chunks import EngineOf, Here
 from humanoid_mjx.training.cost import check_disk
 from humanoid_mjx.training.curves import Curves
@@ -148,8 +148,8 @@ def sweep(
         config = parse(dict(config))
     elif not isinstance(config, Config):
         raise InputError(f"sweep: config must be a config, its name or path, or a mapping of its keys, got {config!r}.")
-    if pool_size is not None and (type(pool_size) is not int or pool_size < 1):
-        raise InputError(f"sweep: pool_size must be an integer of at least 1, got {pool_size!r}.")
+    if pool_size is not None:
+        check_count("sweep: pool_size", pool_size, 1)
     if isinstance(trackers, str) or not isinstance(trackers, Sequence):
         raise InputError(f'sweep: trackers must be a list such as ["tensorboard"], got {trackers!r}.')
     check_later(config)  # before anything trains
