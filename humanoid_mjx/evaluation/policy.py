@@ -24,7 +24,7 @@ from humanoid_mjx.robot import ROBOTS
 from humanoid_mjx.runs.archive import HEADER, check_finite, read_archive
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
-from humanoid_mjx.runs.tables import WHOLE, kept_runs, scores
+from humanoid_mjx.runs.tables import WHOLE, finished_runs, kept_runs, scores
 from humanoid_mjx.spec import InputError, check_count, check_folder, known, sentence, shown
 from humanoid_mjx.tasks import TASKS, name_of
 from humanoid_mjx.training.plan import MAX_RUNS, at_point, build, make_plan, points_of, resolved
@@ -178,7 +178,7 @@ def policies_of_best(
     data = _as_now(read_config(path), overrides)
     config = parse(data, str(path / "config.yaml"))
     points, quickest = points_of(config), config.episodes is not None
-    arrays = kept_runs(path, ("point", "seed", "policy", *(f"curve.{name}" for name in WHOLE), "final."))
+    arrays = kept_runs(path, (names := ("point", "seed", *(f"curve.{name}" for name in WHOLE), "final.")))
     if not arrays:
         raise InputError(f"{path}: holds no finished run; --resume it first.")
     if point is not None and point not in arrays["point"]:
@@ -187,6 +187,7 @@ def policies_of_best(
         if point is None:
             rung = {name: array for name, array in arrays.items() if name in ("point", "rung")}
             point = ranked((), rung | scores(arrays), quickest)[0].point
+        arrays = finished_runs(path, (*names, "policy"), None, point)
         cost = arrays["final.greedy_steps"] if quickest else -arrays["final.greedy_return"]
         order, values = np.lexsort((cost, -arrays["final.greedy_success"])), points[point]
     except LookupError as error:

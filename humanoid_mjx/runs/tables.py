@@ -82,9 +82,11 @@ def _columns(
     return rows | (scores(arrays) if table == "summary" else curves)
 
 
-def finished_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None) -> dict[str, np.ndarray]:
+def finished_runs(
+    path: Path, prefixes: tuple[str, ...], digest: str | None = None, *points: int
+) -> dict[str, np.ndarray]:
     """The arrays of `all_runs`; in mode halving those of the last rung that each point has reached."""
-    arrays = all_runs(path, prefixes, digest)
+    arrays = all_runs(path, prefixes, digest, *points)
     if "rung" not in arrays:
         return arrays
     order = np.lexsort((arrays["rung"], arrays["seed"], arrays["point"]))
@@ -107,24 +109,34 @@ def kept_runs(path: Path, prefixes: tuple[str, ...]) -> dict[str, np.ndarray]:
     return arrays
 
 
-def all_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None) -> dict[str, np.ndarray]:
+def all_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None, *points: int) -> dict[str, np.ndarray]:
     """The arrays of a run folder's finished runs whose names start so, ordered by rung, point and seed.
 
-    `digest`: that of the run's config; by default of `config.yaml`. `rung` counts from 0, in mode halving only.
+    `digest`: that of the run's config; by default of `config.yaml`. `points`: leaves out files that hold none of these.
+    Files of points with other static values have policies of other sizes, and curves of other names, which are NaN in
+    the rows of other files. `rung` counts from 0, in mode halving only.
 
     Raises:
-      InputError: a file of the checkpoint is damaged, of another run, or there twice.
+      InputError: a file of the checkpoint is damaged, of another run, or there twice, or policies have other sizes.
     """
     digest = digest or config_digest(read_config(path))
-    loaded = {part: read_arrays(part, (*prefixes, "rung"), digest) for part in parts(path)}
+    loaded: dict[Path, dict[str, np.ndarray]] = {}
+    for part in parts(path):
+        arrays = read_arrays(part, (*prefixes, "rung"), digest)
+        if not _are_runs(arrays):
+            raise damaged(part, "is of another training")
+        if not points or np.isin(arrays["point"], points).any():
+            loaded[part] = arrays
     if not loaded:
         return {}
-    form = None
-    for part, arrays in loaded.items():
-        form = form or _form(arrays)
-        if form is None or _form(arrays) != form:
-            raise damaged(part, "is of another training")
-    whole = {name: np.concatenate([arrays[name] for arrays in loaded.values()]) for name in form or ()}
+    like = {name: array[:1] * np.float32(np.nan) for arrays in loaded.values() for name, array in arrays.items()}
+    try:
+        whole = {
+            name: np.concatenate([arrays.get(name, nan.repeat(len(arrays["seed"]), 0)) for arrays in loaded.values()])
+            for name, nan in like.items()
+        }
+    except ValueError as error:
+        raise InputError(f"{path / 'checkpoint'}: what it holds does not fit this training.") from error
     keys = np.stack([whole["seed"], whole["point"], whole.get("rung", np.zeros_like(whole["point"]))])
     order = np.lexsort(keys)
     if len(again := order[1:][(np.diff(keys[:, order]) == 0).all(axis=0)]):
@@ -140,13 +152,11 @@ def run_numbers(runs: Mapping[str, np.ndarray], points: int, seeds: int) -> np.n
     return (runs["point"] + runs.get("rung", np.int64(0)) * points) * seeds + runs["seed"]
 
 
-def _form(arrays: dict[str, np.ndarray]) -> dict[str, Any] | None:
-    """Shapes and types that the arrays of all parts share; None where they are not those of runs."""
-    runs = len(arrays["point"]) if "point" in arrays and arrays["point"].ndim == 1 else -1
-    numbers = all(name in arrays and arrays[name].dtype.kind == "i" for name in ("point", "seed"))
-    if not numbers or any(array.shape[:1] != (runs,) for array in arrays.values()) or arrays["seed"].ndim != 1:
-        return None
-    return {name: (array.shape[1:], array.dtype) for name, array in arrays.items()}
+def _are_runs(arrays: dict[str, np.ndarray]) -> bool:
+    """Whether arrays have a row for each of some runs."""
+    numbers = [arrays.get(name, np.array(None)) for name in ("point", "seed")]
+    fit = all(array.dtype.kind == "i" and array.ndim == 1 for array in numbers)
+    return fit and all(array.shape[:1] == numbers[0].shape for array in arrays.values())
 
 
 NEEDED: dict[str, tuple[set[str], ...]] = {

@@ -10,7 +10,7 @@ import numpy as np
 from humanoid_mjx.compute import rng
 from humanoid_mjx.runs.archive import check_finite
 from humanoid_mjx.runs.folder import read_config
-from humanoid_mjx.runs.tables import kept_runs
+from humanoid_mjx.runs.tables import finished_runs, kept_runs
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import Group
 
@@ -76,7 +76,7 @@ def earlier_policies(group: Group) -> Any:
         read_config(path)
     except InputError as error:
         raise InputError(f"learner.start_from: {error}") from error
-    arrays = kept_runs(path, ("point", "seed", "policy"))
+    arrays = kept_runs(path, ("point", "seed"))
     if not arrays:
         raise InputError(f"{where}: holds no finished run.")
     points, seeds = np.divmod(np.tile(group.first_runs, group.rungs), group.seeds)
@@ -84,6 +84,7 @@ def earlier_policies(group: Group) -> Any:
         points = np.full_like(points, arrays["point"][0])
     if len(arrays["point"]) == 1:
         seeds = np.full_like(seeds, arrays["seed"][0])
+    arrays = finished_runs(path, ("point", "seed", "policy"), None, *np.unique(points).tolist())
     place = {pair: i for i, pair in enumerate(zip(arrays["point"].tolist(), arrays["seed"].tolist(), strict=True))}
     wanted = list(zip(points.tolist(), seeds.tolist(), strict=True))
     if missing := [pair for pair in wanted if pair not in place]:

@@ -66,6 +66,24 @@ def test_another_point_than_the_best(reach):
         find_policy(reach, 2)
 
 
+def test_points_of_other_sizes_have_what_sweeps_of_their_own_have(tmp_path):
+    """One has more rows in its table than the other, and greedy scores along its curve."""
+    then, axes = {"episodes": 20, "record": 4}, {"task.states": [11, 21], "learner.evaluations": [1, 4]}
+    both = trained(tmp_path / "both", REACH, TABLE, then=then, sweep={"mode": "zip", "axes": axes})
+    alone = trained(tmp_path / "alone", REACH | {"states": 21}, TABLE | {"evaluations": 4}, then=then)
+    for mixed, own in ((both, alone), (both / "then", alone / "then")):
+        results, wanted = Run(mixed).results, Run(own).results
+        chosen = results["point"] == 1
+        for name in {*wanted} - {"point", "learner.start_from"}:
+            np.testing.assert_array_equal(results[name][chosen], wanted[name], err_msg=name)
+        assert np.isnan(results["greedy_return"][~chosen]).all()
+        for one, other in zip(policies_of_best(mixed, 1), policies_of_best(own), strict=True):
+            np.testing.assert_array_equal(one.policy, other.policy)
+        assert find_policy(mixed, 0).policy.shape[0] == 11
+    with pytest.raises(InputError, match=r"both.*does not fit"):
+        trained(tmp_path / "more", REACH, TABLE | {"start_from": str(both)}, sweep={"axes": {"task.bonus": [1, 2]}})
+
+
 def test_the_best_of_a_run_is_the_first_of_its_table(leg):
     """What is left to tell them apart is the return."""
     run = Run(leg)
