@@ -172,8 +172,13 @@ def _sweep_no_more(data: dict[str, Any], key: str) -> None:
         data["sweep"] = sweep if axes else None
 
 
+def _plain(value: Any) -> Any:
+    """A value that JSON does not know, such as a number or an array of numpy, as one that it knows."""
+    return value.tolist() if hasattr(value, "tolist") else [*value] if isinstance(value, range) else str(value)
+
+
 def parse(data: dict[str, Any], source: str = "config") -> Config:
-    """Build a config from plain values. `source` names their origin in messages.
+    """Build a config from plain values or those of numpy. `source` names their origin in messages.
 
     Raises:
       InputError: a key or value that cannot be used.
@@ -183,7 +188,7 @@ def parse(data: dict[str, Any], source: str = "config") -> Config:
     if odd := [key for key in data if key in BELOW]:
         raise InputError(f"{source}: {odd[0]}: this key does not stand at the top level; write {BELOW[odd[0]]}.")
     try:
-        config = Config(**data)
+        config = Config(**json.loads(json.dumps(data, default=_plain)))
     except pydantic.ValidationError as error:
         raise InputError(f"{source}: {sentence(error, '', Config)}") from error
     config._source = source

@@ -101,8 +101,9 @@ def axis_values(name: str, axis: Axis) -> list:
         )
     if kind == "logspace" and not (low > 0 and high > 0):
         raise InputError(f"sweep.axes.{name}: logspace needs ends above 0, got {shown(low)} and {shown(high)}.")
-    space = np.linspace if kind == "linspace" else np.geomspace
-    return [float(v) for v in space(low, high, count)]
+    values = (np.linspace if kind == "linspace" else np.geomspace)(low, high, count)
+    whole = isinstance(low, int) and isinstance(high, int) and (values % 1 == 0).all()  # for keys that take integers
+    return [int(v) if whole else float(v) for v in values]
 
 
 def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:

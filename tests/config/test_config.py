@@ -1,6 +1,7 @@
 """Configs: what is accepted, and that everything else gets one sentence that says what would be right."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
@@ -148,6 +149,19 @@ def test_bad_input_gets_one_sentence(write, fault):
     assert path in message
     for word in words:
         assert word in message, message
+
+
+def test_values_of_python_and_numpy_are_those_of_a_file(write):
+    data = yaml.safe_load(BASE)
+    data |= {"name": np.str_("small"), "episodes": np.int64(20), "task": data["task"] | {"states": np.int32(13)}}
+    linear = {"linspace": (0.1, 0.2, np.int8(2))}
+    for axis in (np.array([0.1, 0.2]), [np.float64(0.1), jnp.array(0.2)], (0.1, 0.2), linear):
+        found = make_plan(parse(data | {"sweep": {"axes": {"learner.epsilon": axis}}}))
+        np.testing.assert_allclose([point["learner.epsilon"] for point in found.points], [0.1, 0.2], rtol=1e-7)
+        assert found.resolved() | {"sweep": 0} == make_plan(load(write(BASE))).resolved() | {"sweep": 0}
+    for axis in (range(1, 4), {"linspace": [1, 3, 3]}):
+        agents = parse(data | {"sweep": {"axes": {"learner.agents": axis}}})
+        assert [point["learner.agents"] for point in make_plan(agents).points] == [1, 2, 3]
 
 
 def test_merge_keys_are_those_of_yaml(write):
