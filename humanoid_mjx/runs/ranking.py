@@ -26,7 +26,7 @@ class Ranked(NamedTuple):
 
 
 BEST_POINTS = 10
-"""Rows of a table of points in a terminal."""
+"""Rows of a table of points in a terminal or a notebook."""
 
 
 def at_end(columns: Mapping[str, np.ndarray]) -> np.ndarray:

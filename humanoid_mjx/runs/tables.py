@@ -120,13 +120,10 @@ def all_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None, *
       InputError: a file of the checkpoint is damaged, of another run, or there twice, or policies have other sizes.
     """
     digest = digest or config_digest(read_config(path))
-    loaded: dict[Path, dict[str, np.ndarray]] = {}
-    for part in parts(path):
-        arrays = read_arrays(part, (*prefixes, "rung"), digest)
-        if not _are_runs(arrays):
-            raise damaged(part, "is of another training")
-        if not points or np.isin(arrays["point"], points).any():
-            loaded[part] = arrays
+    loaded = {part: read_arrays(part, (*prefixes, "rung"), digest) for part in parts(path)}
+    if odd := [part for part, arrays in loaded.items() if not _are_runs(arrays)]:
+        raise damaged(odd[0], "is of another training")
+    loaded = {part: each for part, each in loaded.items() if not points or np.isin(each["point"], points).any()}
     if not loaded:
         return {}
     like = {name: array[:1] * np.float32(np.nan) for arrays in loaded.values() for name, array in arrays.items()}

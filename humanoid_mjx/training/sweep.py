@@ -13,7 +13,7 @@ import numpy as np
 
 from humanoid_mjx.config import Config, load, parse
 from humanoid_mjx.runs.folder import RunFolder, read_config, run_path
-from humanoid_mjx.runs.ranking import ranked
+from humanoid_mjx.runs.ranking import BEST_POINTS, ranked
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError, check_count
 from humanoid_mjx.training.chunks import EngineOf, Here
@@ -88,14 +88,10 @@ class Run:
         head = f"<p><b>{escape(str(self.path))}</b>: {escape(_words(self.config))}</p>"
         if not (self.path / "summary.parquet").is_file():
             return head + "<p>No run is finished yet.</p>"
-        best = self.points()[:SHOWN]
+        best = self.points()[:BEST_POINTS]
         rows = ["".join(f"<th>{escape(key)}</th>" for key in best[0])]
         rows += ["".join(f"<td>{escape(_number(value))}</td>" for value in each.values()) for each in best]
         return f"{head}<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
-
-
-SHOWN = 10
-"""Points that a notebook shows of a run."""
 
 
 def _words(config: Config) -> str:
