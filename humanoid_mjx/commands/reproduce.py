@@ -22,7 +22,7 @@ def reproduce(
     from humanoid_mjx import compute, reproduction
     from humanoid_mjx.reproduction.findings import as_text
 
-    compute.start(mjx=True)
+    compute.start()
     if list_:
         for experiment in reproduction.load_experiments().values():
             console.print(f"{experiment.name:24} {experiment.title}")

@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
 from humanoid_mjx import compute, control
@@ -116,8 +115,8 @@ class Path(NamedTuple):
 
 @cache
 def physics() -> Any:
-    """MJX with the lower body, the human ranges of Table 3.2: the gaits leave the proposed ones."""
-    return make_physics("mjx-jax", robot={"ranges": "human"})
+    """The lower body, with the human ranges of Table 3.2: the gaits leave the proposed ones."""
+    return make_physics("tree", robot={"ranges": "human"})
 
 
 def play(
@@ -261,13 +260,8 @@ def _program() -> Any:
         moved = jax.lax.scan(cycle, world, (forces, ends))[1]
         return jnp.vstack([world.qpos, moved.qpos]), jnp.vstack([world.qvel, moved.qvel])
 
-    # Each device its share: XLA itself would gather what MJX solves.
-    devices = jax.local_devices()
-    mesh = Mesh(np.array(devices if AT_ONCE % len(devices) == 0 else devices[:1]), ("bodies",))
-    share = PartitionSpec("bodies")
     every = jax.vmap(simulate, in_axes=(None, 0, 0, 0, 0))
-    spread = jax.shard_map(every, mesh=mesh, in_specs=(PartitionSpec(), *[share] * 4), out_specs=share, check_vma=False)
-    return jax.jit(spread, compiler_options=compute.compiler_options("arrays"))
+    return jax.jit(every, compiler_options=compute.compiler_options("tree"))
 
 
 def _until_fall(qpos: np.ndarray, qvel: np.ndarray, plan: np.ndarray) -> Path:
