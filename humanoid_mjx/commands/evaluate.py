@@ -69,6 +69,12 @@ def _successes(
         evaluations = evaluate_all(policies, episodes)
     title = f"{episodes:,} episodes that no training has seen{_changes(worlds[0], overrides)}"
     remarks = [*words_on_returns(policies, evaluations), *played_by(policies)]
+    remarks += [
+        f"{each.policy} ({each.agent}): the physics gave up in {each.lost:.1%} of episodes, which are no success; "
+        "single precision misses contacts on slippery ground, --physics mujoco does not."
+        for each in evaluations
+        if each.lost > 0.0
+    ]
     if any(getattr(each.learner.task, "command", None) for each in policies):
         remarks.append("success is to stay upright; evaluate --gait says whether a robot also goes as it is told.")
     console.print(evaluation_table(title, evaluations), *remarks, sep="\n")

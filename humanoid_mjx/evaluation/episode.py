@@ -17,7 +17,7 @@ from humanoid_mjx.evaluation.evaluate import held_out_key
 from humanoid_mjx.evaluation.policy import StoredPolicy
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import MAX_EPISODE_STEPS, decide, decision_keys, greedy, start
-from humanoid_mjx.physics.base import Controller, Physics, World
+from humanoid_mjx.physics.base import Controller, Physics, World, worlds_in
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.base import Task
@@ -84,9 +84,7 @@ def world_of(data: Any) -> World:
     Raises:
       InputError: there is none.
     """
-    leaves = jax.tree.leaves(data, is_leaf=lambda leaf: isinstance(leaf, World))
-    worlds = [leaf for leaf in leaves if isinstance(leaf, World)]
-    if not worlds:
+    if not (worlds := worlds_in(data)):
         raise InputError("play: the task's states hold no World of its physics, so there is nothing to show.")
     return worlds[0]
 

@@ -43,8 +43,8 @@ def held_out_keys(episodes: int) -> Key[Array, " episodes"]:
 
 
 def play_out(trained: StoredPolicy, name: str, episodes: int) -> dict[str, np.ndarray]:
-    """`success`, `return`, `steps` and `discounted_return` of held-out episodes, (episodes,) each, in which one of
-    `AGENTS` decides."""
+    """`success`, `return`, `steps`, `discounted_return` and `lost` of held-out episodes, (episodes,) each, in which
+    one of `AGENTS` decides."""
     block = min(episodes, BLOCK)
     keys = held_out_keys(-(-episodes // block) * block)
     learner = trained.learner
@@ -52,7 +52,7 @@ def play_out(trained: StoredPolicy, name: str, episodes: int) -> dict[str, np.nd
     shares = (keys[first : first + block] for first in range(0, len(keys), block))
     parts = [jax.device_get(run(learner, trained.policy, number, share)) for share in shares]
     columns = (np.concatenate(column)[:episodes] for column in zip(*parts, strict=True))
-    return dict(zip(("success", "return", "steps", "discounted_return"), columns, strict=True))
+    return dict(zip(("success", "return", "steps", "discounted_return", "lost"), columns, strict=True))
 
 
 def evaluate_all(policies: Sequence[StoredPolicy], episodes: int) -> list[Evaluation]:

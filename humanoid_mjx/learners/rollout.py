@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from humanoid_mjx.learners import Learner
+from humanoid_mjx.physics.base import worlds_in
 from humanoid_mjx.spec import ships
 from humanoid_mjx.tasks.continuous import ContinuousTask, State
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -35,6 +36,8 @@ class Episode(NamedTuple):
     steps: Int[Array, "*episodes"]
     discounted_return: Float[Array, "*episodes"]
     """Sum over the steps k of `discount**k` times the reward."""
+    lost: Bool[Array, "*episodes"]
+    """Whether the physics gave up, see `World.diverged`."""
 
 
 Loop = tuple[State, Float[Array, "2"], IntScalar, Array]
@@ -62,14 +65,15 @@ def rollout(
     first = start(env, key)
     loop = first, jnp.zeros(2), jnp.int32(0), jnp.zeros_like(jax.eval_shape(choose, first, key))
     state, totals, steps, action = jax.lax.while_loop(running, step, loop)
-    return Episode(state.success, totals[0], steps, totals[1]), action
+    lost = jnp.any(jnp.array([world.diverged for world in worlds_in(state.data)], bool))
+    return Episode(state.success, totals[0], steps, totals[1], lost), action
 
 
 def marked(episode: Episode, allowed: BoolScalar) -> Episode:
     """Return the results of an episode; one in which an action was not allowed is no success, and both its returns are
     NaN."""
     total, discounted = (jnp.where(allowed, x, jnp.nan) for x in (episode.episode_return, episode.discounted_return))
-    return Episode(episode.success & allowed, total, episode.steps, discounted)
+    return episode._replace(success=episode.success & allowed, episode_return=total, discounted_return=discounted)
 
 
 def score(learner: Learner, choose: Choose, key: Key[Array, ""], discount: FloatScalar | float = 1.0) -> Episode:

@@ -111,6 +111,12 @@ class Sensed(NamedTuple):
     """Torques that act on the actuated joints, N m."""
 
 
+def worlds_in(data: Any) -> list[World]:
+    """Return the worlds in the data of a task's state, wherever they are."""
+    leaves = jax.tree.leaves(data, is_leaf=lambda leaf: isinstance(leaf, World))
+    return [leaf for leaf in leaves if isinstance(leaf, World)]
+
+
 def freeze_if_diverged(old: World, new: World) -> World:
     """Return `new`; where it has diverged, `old` with the flag set."""
     sound = jnp.isfinite(new.qpos).all() & (jnp.abs(new.qvel) <= MAX_SPEED).all() & ~new.diverged

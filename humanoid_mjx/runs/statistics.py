@@ -250,11 +250,13 @@ class Evaluation(NamedTuple):
     mean_return: float
     discounted_return: float
     """Interquartile mean; what Q-learning maximises."""
+    lost: float
+    """The share of episodes in which the physics gave up; they are no success."""
 
     def as_json(self) -> dict[str, Any]:
         """The evaluation as plain values, with each number's interval beside it."""
         estimates = {"success": self.success, "return": self.episode_return, "steps": self.steps}
-        found = {name: getattr(self, name) for name in ("policy", "agent", "mean_return", "discounted_return")}
+        found = {name: getattr(self, name) for name in ("policy", "agent", "mean_return", "discounted_return", "lost")}
         for name, estimate in estimates.items():
             found |= {name: estimate.value, f"{name}_interval": [estimate.low, estimate.high]}
         return found
@@ -268,4 +270,4 @@ def estimated(policy: str, agent: str, episodes: Mapping[str, np.ndarray]) -> Ev
     rate = Estimate(float(success.mean()), *rate_interval(success))
     steps = steps._replace(low=max(steps.low, 0.0))
     means = float(np.mean(episodes["return"])), float(iqm(np.asarray(episodes["discounted_return"], float)))
-    return Evaluation(policy, agent, rate, total, steps, *means)
+    return Evaluation(policy, agent, rate, total, steps, *means, float(np.mean(episodes.get("lost", False))))

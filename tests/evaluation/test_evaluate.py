@@ -16,7 +16,7 @@ from humanoid_mjx.compute import rng
 from humanoid_mjx.evaluation import evaluate
 from humanoid_mjx.evaluation.episode import play
 from humanoid_mjx.evaluation.evaluate import evaluate_all, held_out_keys, play_out
-from humanoid_mjx.evaluation.policy import find_policy, policies_of_best, read_policy, save_policy
+from humanoid_mjx.evaluation.policy import find_policy, in_world, policies_of_best, read_policy, save_policy
 from humanoid_mjx.learners.rollout import AGENTS, agent, rollout
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.statistics import estimated
@@ -48,6 +48,15 @@ def leg(tmp_path_factory):
     """Episodes of so few steps that none succeeds, and all are as long."""
     axes = {"learner.learning_rate": [0.0001, 0.3, 0.01]}
     return trained(tmp_path_factory.mktemp("evaluate") / "leg", LEG, LINEAR, sweep={"axes": axes}, total_steps=400)
+
+
+def test_episodes_that_the_physics_gives_up_are_told_from_falls():
+    """On ice the solver in single precision finds no forces; native MuJoCo does, and the robot stands."""
+    ice, (tree, native) = ["task.friction=0.02"], ("tree", "mujoco")
+    found = {physics: play_out(in_world(find_policy("stand"), physics, ice), "greedy", 8) for physics in (tree, native)}
+    assert found[tree]["lost"].any() and not (found[tree]["lost"] & found[tree]["success"]).any()
+    assert found[native]["success"].all() and not found[native]["lost"].any()
+    assert estimated("stand", "greedy", found[tree]).as_json()["lost"] == found[tree]["lost"].mean()
 
 
 def test_the_best_of_a_run_reaches_its_goal_on_the_shortest_way(reach):
