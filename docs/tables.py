@@ -343,7 +343,8 @@ def public_robots() -> str:
     """Return how public robots stay upright after a training, here and in their own files."""
     rows = []
     for card, row in _public(ships=True):
-        seconds = f"{rounded(row['command_s'], 0)}, {card}" if row["command_s"] else ""
+        made = row.get("alone", row)
+        seconds = f"{rounded(made['command_s'], 0)}, {card}" if made["command_s"] else ""
         played = [each for words, each in row.get("unmodified_gait", {}).items() if words.startswith(COMMANDS)]
         all_seeds = rounded(100 * float(np.mean([each["upright"] for each in played])), 0) if played else ""
         error = rounded(max(each["error"] for each in played)) if played else ""

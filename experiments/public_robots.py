@@ -87,7 +87,8 @@ def judged(row: dict[str, Any], out: Path, card: int) -> dict[str, Any]:
     row["seeds"] = [{name: x for name, x in one.items() if name.startswith("greedy")} for one in last.values()]
     for name, options in JUDGES.items():
         file = out.with_name(f"{out.name}-{name}.json")
-        _, failed = spoken(["evaluate", str(out), *options, "--json", str(file)], card)
+        own = "--set", f"task.robot={row['robot']}"  # the machine that trained may have no meshes of it
+        _, failed = spoken(["evaluate", str(out), *own, *options, "--json", str(file)], card)
         row[name] = failed or KEPT[name](json.loads(file.read_text(encoding="utf-8")))
     return row
 

@@ -354,7 +354,7 @@ def play(
     """Write a film of a held-out episode.
 
     Args:
-      what, point, overrides: as `evaluate` takes them.
+      what: with `point` and `overrides` as `evaluate` takes them.
       episode: its number.
       physics: by default native MuJoCo where the task can, as the command's.
       out: a .gif, .mp4, .webm or .png; by default `figures/play.gif` of the run, or `NAME.gif`.
