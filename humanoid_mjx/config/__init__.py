@@ -263,15 +263,20 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def _integer(loader: yaml.SafeLoader, node: Any) -> int:
-    """Return an integer. Integers beyond the range of a float are refused: Python cannot convert or print them."""
-    value = loader.construct_yaml_int(node)
-    if abs(value) > sys.float_info.max:
+def _number(loader: yaml.SafeLoader, node: Any) -> int | float:
+    """Return a number. Integers beyond the range of a float are refused, as Python cannot convert or print them; so are
+    numbers of base 8 and 60, which look like others."""
+    value = getattr(loader, f"construct_yaml_{node.tag.rpartition(':')[2]}")(node)
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
         raise yaml.constructor.ConstructorError(None, None, "a number has hundreds of digits", node.start_mark)
+    if re.match(r"[-+]?0[\d_]+$|.*:", node.value) and value:
+        problem = f"{node.value} is {value} to YAML; write {value}, the number that you mean, or text in quotes"
+        raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
     return value
 
 
-_Loader.add_constructor("tag:yaml.org,2002:int", _integer)
+_Loader.add_constructor("tag:yaml.org,2002:int", _number)
+_Loader.add_constructor("tag:yaml.org,2002:float", _number)
 _Loader.add_constructor("tag:yaml.org,2002:merge", yaml.SafeLoader.construct_yaml_str)  # the key <<
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)[eE][-+]?\d+$"), list("-+.0123456789")

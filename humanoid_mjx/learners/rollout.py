@@ -47,14 +47,15 @@ Loop = tuple[State, Float[Array, "2"], IntScalar, Array]
 def rollout(
     env: ContinuousTask, choose: Choose, key: Key[Array, ""], discount: FloatScalar | float = 1.0
 ) -> tuple[Episode, Array]:
-    """Play one episode to its end, at most `MAX_EPISODE_STEPS` steps.
+    """Play one episode to its end, at most `MAX_EPISODE_STEPS` steps where the task has no limit.
 
     Returns:
       its results, and the first action that `env` does not allow; if there is none, the last action.
     """
+    most = getattr(getattr(env, "finite", None), "max_episode_steps", MAX_EPISODE_STEPS)
 
     def running(loop: Loop) -> BoolScalar:
-        return ~loop[0].done & (loop[2] < MAX_EPISODE_STEPS)
+        return ~loop[0].done & (loop[2] < most)
 
     def step(loop: Loop) -> Loop:
         state, totals, steps, before = loop

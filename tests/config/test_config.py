@@ -117,6 +117,8 @@ BAD = {
     "goal that is not hit": ("states: 13", "action: 7", ["task", "goal 40", "steps of 7"]),
     "record above episodes": ("record: 10", "record: 30", ["record", "at most episodes"]),
     "tags": ("epsilon: 0.5", "epsilon: !!python/object:os.system 1", ["plain YAML", "line 4"]),
+    "a number of base 8": ("episodes: 20", "episodes: 020", ["020 is 16 to YAML; write 16, the number that you mean"]),
+    "a number of base 60": ("epsilon: 0.5", "epsilon: 0:00.5", ["0:00.5 is 0.5 to YAML; write 0.5,"]),
     "broken YAML": ("epsilon: 0.5}", "epsilon: 0.5", ["plain YAML", "line"]),
     "nested 3,000 deep": ("epsilon: 0.5", "epsilon: " + 3000 * "[" + 3000 * "]", ["nested too deep"]),
     "a key twice": ("episodes: 20", "episodes: 20\nepisodes: 30", ["episodes", "twice"]),

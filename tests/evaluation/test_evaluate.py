@@ -50,6 +50,12 @@ def leg(tmp_path_factory):
     return trained(tmp_path_factory.mktemp("evaluate") / "leg", LEG, LINEAR, sweep={"axes": axes}, total_steps=400)
 
 
+def test_a_task_ends_its_episodes_itself(reach):
+    """However long they are: the agent that does not move never reaches its goal."""
+    long = in_world(find_policy(reach), None, ["task.max_episode_steps=150_000"])
+    assert play_out(long, "zero", 1)["steps"].tolist() == [150_000]
+
+
 def test_episodes_that_the_physics_gives_up_are_told_from_falls():
     """On ice the solver in single precision finds no forces; native MuJoCo does, and the robot stands."""
     ice, (tree, native) = ["task.friction=0.02"], ("tree", "mujoco")
