@@ -544,7 +544,8 @@
         c: this.toggle("Collision shapes", "touching", "Only the orange shapes can touch."),
         j: this.toggle("Axes", "turning", "Joints with a motor turn about the arrows, or slide along them.") };
       const { policies, policy } = data.live;
-      const others = named(make("select", { onchange: () => this.send({ policy: others.value }) },
+      const change = () => { this.send({ policy: others.value }); others.value = policy; }; // the page of another is loaded
+      const others = named(make("select", { onchange: change },
         ...policies.map((value) => make("option", { value, selected: value === policy }, value))), "Policy");
       const buttons = [...(policies.length ? [others] : []), this.paused, button("Step", () => this.once()), button("Restart", () => this.restart()),
         button("Next episode", () => this.send({ episode: 1 })), ...Object.values(this.switches), this.recorded];
