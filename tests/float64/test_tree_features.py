@@ -1,11 +1,14 @@
 """What trees may have, each on a robot as small as can be, against native MuJoCo with a converged solver."""
 
+from collections import Counter
+
 import mujoco
 import numpy as np
 import pytest
 from tree_robots import PLANAR, QUADRUPED, SHAPES, converged, dropped, native, qacc_of, states
 
 from humanoid_mjx.mechanics.tree.folding import fold
+from humanoid_mjx.mechanics.tree.pairs import SLOTS
 from humanoid_mjx.mechanics.tree.reading import read_tree
 from humanoid_mjx.mechanics.tree.step import Values
 
@@ -93,6 +96,34 @@ def test_boxes_that_touch_each_other_are_mujocos():
     <geom name="box" type="box" size="0.04 0.02 0.09" pos="0 0 0.12" mass="0.4" friction="0.7" margin="0.001"/></body>
     </worldbody><contact><pair geom1="wall" geom2="box" condim="1"/></contact></mujoco>"""
     agrees(xml, count=200)
+
+
+@pytest.mark.parametrize("pads", [1, 5], ids=["few", "many"])
+def test_balls_and_capsules_that_touch_boxes_are_mujocos(pads):
+    """Of the body before and of the world, with margins and friction of their own; many pairs are looked at in a loop,
+    and two limbs of one build are one."""
+    pad = '<geom type="box" size="0.05 0.02 0.04" pos="{} 0.02 0.1" euler="{} 20 0" mass="0.2" contype="2"/>'
+    arm = """<body pos="{} -0.07 0"><joint axis="1 0 0" range="-70 30"/><joint axis="0 1 0.2" range="-30 30"/>
+    <joint axis="0.1 0 1" range="-90 90"/><geom name="arm{}" type="capsule" size="0.02 0.05" pos="0 0 0.1"
+      euler="0 40 0" mass="0.4" friction="0.7" margin="0.001" conaffinity="2"/>
+    <geom name="tip{}" size="0.03" pos="0 0 0.15" mass="0.2" conaffinity="2"/></body>"""
+    pair = """<pair geom1="wall" geom2="arm{}" condim="1"/><pair geom1="tip{}" geom2="wall" friction="0.3 0.5 1 1 1"
+    solref="0.01 1.2" margin="0.002"/>"""
+    xml = f"""<mujoco><default><geom conaffinity="0" contype="0"/><joint damping="0.01" limited="true"/></default>
+    <worldbody><geom name="wall" type="box" size="0.15 0.1 0.02"/>
+    <body pos="0 0.07 0"><joint axis="1 0 0" range="-30 70"/><joint axis="0 1 0" range="-60 60"/>
+    {"".join(pad.format(0.03 * number, 10 * number) for number in range(pads))}</body>
+    {"".join(arm.format(place, *(place,) * 2) for place in (0.04, -0.06))}</worldbody>
+    <contact>{"".join(pair.format(place, place) for place in (0.04, -0.06))}</contact></mujoco>"""
+    model = converged(mujoco.MjModel.from_xml_string(xml))
+    at, data, touched, few = states(model, 300), mujoco.MjData(model), Counter[str](), []
+    for data.qpos in at[0]:
+        mujoco.mj_forward(model, data)
+        few.append(data.ncon <= SLOTS)
+        names = [sorted(model.geom(geom).name[:3] for geom in pair) for pair in data.contact.geom]
+        touched.update(map("-".join, names))
+    assert all(touched[pair] > 20 for pair in ("arm-wal", "tip-wal", "-arm", "-tip")), touched
+    agree(model, [part[few] for part in at])
 
 
 def test_free_bodies_turn_by_runge_and_kuttas_method():

@@ -98,6 +98,30 @@ BIPED = f"""
 """
 """Two legs of one build, each with four corners on the ground."""
 
+BOXES = """
+<mujoco>
+  <default><geom contype="0" conaffinity="0"/><joint damping="0.01" limited="true"/></default>
+  <worldbody>
+    <geom name="ground" type="plane" size="1 1 1" pos="0 0 -1"/>
+    <body pos="0 0.07 0">
+      <joint axis="1 0 0" range="-30 70"/>
+      <geom type="box" size="0.05 0.02 0.04" pos="0 0.02 0.1" euler="10 20 0" mass="0.2" contype="3"/>
+      <geom type="box" size="0.03 0.02 0.04" pos="-0.1 0.02 0.1" euler="30 20 0" mass="0.2" contype="2"/>
+      <geom type="box" size="0.03 0.02 0.04" pos="0.1 0.02 0.1" euler="20 20 0" mass="0.2" contype="2"/>
+    </body>
+    <body pos="0 -0.07 0">
+      <joint name="arm" axis="1 0 0" range="-70 30"/><joint axis="0 1 0.2" range="-30 30"/>
+      <geom type="capsule" size="0.02 0.05" pos="0 0 0.1" euler="0 40 0" mass="0.4" conaffinity="2"/>
+      <geom type="capsule" size="0.01 0.05" pos="-0.1 0 0.1" euler="0 20 0" mass="0.4" conaffinity="2"/>
+      <geom size="0.03" pos="0 0 0.15" mass="0.2" conaffinity="1" margin="0.001"/>
+      <geom type="capsule" size="0.01 0.02" pos="0.02 0 0.15" mass="0.2" conaffinity="1" margin="0.001"/>
+    </body>
+  </worldbody>
+  <actuator><motor joint="arm"/></actuator>
+</mujoco>
+"""
+"""Capsules and a ball that may touch boxes: a few of one margin, and many of another."""
+
 KERNELS = {
     "cpu": lambda function, *args, lanes=1: cpu_kernel(function, *args),
     "gpu": partial(gpu_kernel, interpret=True),
@@ -318,6 +342,7 @@ def test_what_threads_cannot_do_is_refused(words):
 MODELS = {
     "a hopper": mujoco.MjModel.from_xml_string(HOPPER),
     "ten pairs": mujoco.MjModel.from_xml_string(CROWD),
+    "shapes on boxes": mujoco.MjModel.from_xml_string(BOXES),
     "two legs, a thread each": mujoco.MjModel.from_xml_string(BIPED),
 }
 

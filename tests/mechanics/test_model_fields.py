@@ -217,3 +217,23 @@ def test_capsules_that_stay_parallel_are_refused(joint, taken):
     assert data.ncon == 2
     words = [] if taken else ["two contacts of capsules that stay parallel, as those of 'a' and 'b'"]
     assert [fault.what for fault in faults(model)] == words
+
+
+@pytest.mark.parametrize(
+    ("turned", "joint", "taken"),
+    [
+        ("0 0 0", 'type="slide"', False),
+        ("0 0 0", 'axis="0 0 1"', False),
+        ("30 0 0", 'axis="1 0 0"', False),
+        ("30 0 0", 'axis="1 0.001 0"', True),
+        ("30 0 0", 'axis="0 0 1"', True),
+        ("30 20 0", 'axis="1 0 0"', True),
+    ],
+)
+def test_capsules_that_stay_parallel_to_a_face_are_refused(turned, joint, taken):
+    """Their second contact hangs on the sign of what is zero but for rounding."""
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody><geom name="a" type="box" size=".1 .1 .1"/>
+    <body pos="0 0 .1"><joint {joint}/><geom name="b" type="capsule" size=".1 .2" euler="{turned}"/></body>
+    </worldbody></mujoco>""")
+    words = [] if taken else ["contacts of a capsule that stays parallel to a face of a box, as those of 'b' and 'a'"]
+    assert [fault.what for fault in faults(model)] == words

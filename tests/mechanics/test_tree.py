@@ -61,15 +61,15 @@ def test_joints_that_are_refused(words):
         read_tree(mujoco.MjModel.from_xml_string(xml.format('<option><flag spring="disable"/></option>')))
 
 
-BOX = 'size=".1 .1 .1"'
+ROUND = 'size=".1 .1"'
 CYLINDER = 'type="cylinder" size="0.1 0.1" pos'
 
 
 @pytest.mark.parametrize(
     ("words", "old", "new"),
     [
-        ("contacts of a capsule and a box, as those of 'trunk' and 'shank'",
-         'fromto="0 0 0 0 0 -0.2" size="0.015"', BOX),
+        ("contacts of a capsule and a cylinder, as those of 'trunk' and 'shank'",
+         'fromto="0 0 0 0 0 -0.2" size="0.015"', ROUND),
         ("contacts that resist twisting or rolling, as those of 'ground' and 'shank' (2)", 'condim="1"', 'condim="6"'),
         ("the implicit integrator", 'impratio="2"', 'integrator="implicit"'),
         ("a fluid", 'impratio="2"', 'density="1.2"'),
@@ -80,8 +80,8 @@ def test_models_that_are_refused(words, old, new):
     """The hopper with one change."""
     assert old in HOPPER
     changed = HOPPER.replace(old, new)
-    if new == BOX:
-        changed = changed.replace('type="capsule" ' + BOX, 'type="box" ' + BOX)
+    if new == ROUND:
+        changed = changed.replace('type="capsule" ' + ROUND, 'type="cylinder" ' + ROUND)
     with pytest.raises(InputError) as error:
         read_tree(mujoco.MjModel.from_xml_string(changed))
     assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco or mjx-jax."

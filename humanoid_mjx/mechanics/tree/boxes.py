@@ -1,21 +1,26 @@
-"""Contacts of two boxes, as MuJoCo 3.12 and newer find them.
+"""Contacts of boxes with each other, as MuJoCo 3.12 and newer find them, and with balls and capsules.
 
-The separating axis test gives the normal: the axis along which the boxes overlap least, among the normals of their
-faces and the cross products of their edges. Two edges touch at one point. A face is touched by that face of the other
-box that lies against it; the vertices of the part within its sides are contacts.
+Of two boxes the separating axis test gives the normal: the axis along which the boxes overlap least, among the normals
+of their faces and the cross products of their edges. Two edges touch at one point. A face is touched by that face of
+the other box that lies against it; the vertices of the part within its sides are contacts.
+
+A capsule touches a box as balls on its axis do: one where the axis is nearest to the box, and one as far from there as
+the axis runs along that face or edge. Of places that are as near the first counts, in MuJoCo's order.
 """
 
 import functools
 import operator
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.mechanics.tree.algebra import numbers, stacked, turn
+from humanoid_mjx.mechanics.tree.algebra import FEW_PAIRS, entry_at, numbers, stacked, turn
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
+from humanoid_mjx.mechanics.tree.segments import POINT, capsules
 from humanoid_mjx.mechanics.tree.structure import Pairs
 
 CONTACTS = 12
@@ -25,6 +30,9 @@ corners between the sides."""
 ALIGNED, SHALLOWER, BIAS = 0.99, 0.05, 1e-6
 """A cross product this near to the normal of the best face (cosine) counts only where the boxes overlap by such a share
 less along it; any cross product only where by `BIAS` less."""
+
+PLACES = 2
+"""Candidates of a capsule and a box; a ball and a box have one."""
 
 SIGNS = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
 """Corners of a rectangle in their order."""
@@ -270,3 +278,141 @@ def _clipped(middle: Triple, u: Triple, v: Triple, half: tuple[Any, Any]) -> tup
     corners = jnp.stack([x, y, middle[2] + one * u[2] + two * v[2]])
     found = jnp.concatenate([starts + enter * ways, starts + leave * ways, corners], axis=1)
     return found, jnp.concatenate([meets, meets, within])
+
+
+def with_boxes(pairs: Pairs, kinematics: Kinematics) -> Callable[[Any], tuple[Any, Any, Any]]:
+    """From the number of a candidate of balls or capsules with boxes to its place against the origin, normal and
+    distance, m. Those of many pairs are computed when asked for."""
+    each, few = list(zip(pairs.ones, pairs.twos, strict=True)), len(pairs.ones) <= FEW_PAIRS
+    which, seen = [], Counter[Any]()
+    for two in each:
+        which.append((1 + seen[two] % PLACES) * (two[0].half_length > 0.0))
+        seen[two] += 1
+    ones, twos = each_side = [side if few else tuple(dict.fromkeys(side)) for side in (pairs.ones, pairs.twos)]
+    (middle, half), radius = capsules(ones, kinematics)
+    shapes = (middle.swapaxes(0, 1), half.swapaxes(0, 1), radius), _placed(twos, kinematics)
+    gap = functools.partial(place_gap, balls=not any(which), margin=pairs.surface.margin)
+    if few:
+        place, normal, distance = gap(*shapes, np.reshape(which, (-1, 1, 1)))
+        gaps = place.swapaxes(0, 1), normal.swapaxes(0, 1), distance
+        return lambda index: jax.tree.map(lambda v: entry_at(v, index), gaps)
+    tables = jax.tree.map(lambda v: jnp.moveaxis(v, -3, 0), shapes)
+    rows = [[*map(tuple.index, each_side, two), number] for two, number in zip(each, which, strict=True)]
+    rows = np.array(rows, np.float32)[:, :, None]
+
+    def at(index: Any) -> tuple[Any, Any, Any]:
+        one, two, number = entry_at(rows, index)
+        places = zip(tables, (one[0], two[0]), strict=True)
+        shape, box = (jax.tree.map(lambda v, at=at: entry_at(v, at), table) for table, at in places)
+        return gap(shape, box, number)
+
+    return at
+
+
+def place_gap(
+    shape: tuple[Triple, Triple, Any], box: Placed, which: Any, *, balls: bool, margin: float
+) -> tuple[Triple, Triple, Any]:
+    """Place, normal and distance, m, of a candidate of a `shape`, its axis `middle +- way` and its radius, and a box: 0
+    is a ball's, 1 a capsule's where it is nearest, 2 the other. Candidates that are no contacts are further apart than
+    `margin`, m. `balls`: there are no capsules."""
+    middle, way, radius = shape
+    middle, way = _along(box.axes, middle - box.middle), _along(box.axes, way)
+    outward, reach = box.axes.swapaxes(0, 1), jnp.sqrt(_dot(way, way)) + radius + margin
+    beyond = middle - jnp.clip(middle, -box.half, box.half)
+
+    def near() -> tuple[Triple, Triple, Any]:
+        share, there = 0.0, True
+        if not balls:
+            first, second, one, two = _shares(middle, way, box.half, margin + radius)
+            share = jnp.where(which == 0, 0.0, jnp.where(which == 1, first, second))
+            there = (which == 0) | jnp.where(which == 1, one, two)
+        place, normal, distance = _ball_gap(middle + share * way, radius, box.half)
+        distance = jnp.where(there, distance, margin + 1.0)
+        return box.middle + _along(outward, place), _along(outward, normal), distance
+
+    def far() -> tuple[Triple, Triple, Any]:
+        place, normal, distance = jax.tree.map(jnp.zeros_like, jax.eval_shape(near))
+        return place, normal, distance + (margin + 1.0)
+
+    # Beyond a hundredth more than its reach no rounding makes a contact.
+    return jax.lax.cond((_dot(beyond, beyond) <= (1.01 * reach) ** 2).any(), near, far)
+
+
+def _ball_gap(center: Triple, radius: Any, half: Triple) -> tuple[Triple, Triple, Any]:
+    """The gap of a ball and a box, in the box's axes."""
+    way = jnp.clip(center, -half, half) - center
+    apart = jnp.sqrt(_dot(way, way))
+    inside = apart <= POINT
+    normal, depth = 0.0, jnp.inf
+    for number, sides in enumerate(zip(half + center, half - center, strict=True)):
+        for sign, side in zip((1.0, -1.0), sides, strict=True):
+            inward = sign * (_numbered(3, side) == number)
+            normal, depth = _where(side < depth, (inward, side), (normal, depth))
+    normal = jnp.where(inside, normal, way / jnp.where(inside, 1.0, apart))
+    apart = jnp.where(inside, -depth, apart)
+    return center + 0.5 * (radius + apart) * normal, normal, apart - radius
+
+
+def _shares(middle: Triple, way: Triple, half: Triple, reach: Any) -> tuple[Any, Any, Any, Any]:
+    """Where a capsule's axis `middle +- way` touches a box, as shares of `way`, and which of these two places are some;
+    in the box's axes. `reach`: the capsule's radius and the margin, m."""
+    square = _dot(way, way)
+    most = 2.0 * (reach + jnp.sqrt(square) + half.sum(axis=0))
+    # Squared distance, share, place on the box, axis across its face or along its edge; if on a face, if a corner.
+    best = most, 0.0, jnp.zeros_like(middle), 3, False, False
+    for end in (-1.0, 1.0):
+        tip = middle + end * way
+        place, (x, y, z) = jnp.clip(tip, -half, half), abs(tip) > half
+        new = _dot(tip - place, tip - place), end, place, jnp.where(z, 2, jnp.where(y, 1, jnp.where(x, 0, 3)))
+        nearer = (new[0] < best[0]) & ~((x & y) | (y & z) | (x & z))
+        best = _where(nearer, (*new, True, False), best)
+    for axis in range(3):
+        new, usable = _of_edges_along(axis, middle, way, half)
+        for apart, share, place, corner in zip(*new, strict=True):
+            nearer = usable & (apart < best[0] - POINT - SLACKS[middle.dtype.itemsize].separation * best[0])
+            best = _where(nearer, (apart, share, place, axis, False, corner), best)
+    least, share, place, axis, face, corner = best
+    # At a corner the axis runs along the edge or the face of that component whose sign differs from the other two; on
+    # an edge along it and the face that is less steep. It ends where the box does in the components that are `bounded`.
+    rising, number = way > 0.0, _numbered(3, share)
+    inward = rising != (place > 0.0)
+    x, y, z = inward
+    odd = jnp.stack([(x != y) & (x != z), (y != z) & (y != x), (z != x) & (z != y)])
+    steep = jnp.where(odd, way * way, 0.0).sum(axis=0) > 0.5 * square
+    (one, two, _), (a, b, _) = _rolled(axis, inward), _rolled(axis, abs(way))
+    flat = jnp.where(a > b, axis + 1, axis + 2) % 3
+    bounded = jnp.where(corner, odd == steep, (number == axis) | (number == flat))
+    bounded, some = jnp.where(face, number != axis, bounded), jnp.where(corner, odd.any(axis=0), one != two)
+    ahead = jnp.where(corner, (inward & odd).any(axis=0) == steep, jnp.where(a > b, one, two))
+    ahead, some = jnp.where(face, share < 0.0, ahead), jnp.where(face, axis < 3, some)
+    room = half - jnp.where(rising == ahead, place, -place)
+    size = jnp.where(way == 0.0, jnp.finfo(way.dtype).tiny, abs(way))
+    further = jnp.where(bounded & ~(face & (room <= 0.0)), room / size, jnp.inf).min(axis=0)
+    sign, there = jnp.where(ahead, 1.0, -1.0), least < most
+    return share, share + sign * jnp.minimum(1.0 - sign * share, further), there, some & there
+
+
+def _of_edges_along(axis: int, middle: Triple, way: Triple, half: Triple) -> tuple[tuple[Any, ...], Any]:
+    """The place of each of the four edges of a box along one of its axes that is nearest to a capsule's axis: squares
+    of distances, shares of `way`, places, and whether they are corners. And false where the edges are parallel to the
+    capsule: MuJoCo takes none of these."""
+    behind, others = (1,) * (middle.ndim - 1), [number for number in range(3) if number != axis]
+    signs = np.insert(np.array([[-1.0, 1.0, -1.0, 1.0], [-1.0, -1.0, 1.0, 1.0]]), axis, 0.0, axis=0)
+    edge = signs.reshape(3, 4, *behind) * half[:, None]
+    long, at, rise, across = half[axis], middle[axis], way[axis], sum(way[number] ** 2 for number in others)
+    usable = long * long * across >= POINT
+    off = edge - middle[:, None]
+    here = _numbered(3, off[0]) == axis
+    share = sum(way[number] * off[number] for number in others) / jnp.where(usable, across, 1.0)
+    free = (at + rise * share) / long
+    bound = jnp.clip(free, -1.0, 1.0)
+    own = _dot(way[:, None], jnp.where(here, bound * long - at, off)) / _dot(way, way)
+    share = jnp.where(abs(free) > 1.0, own, share)
+    past, share = abs(share) > 1.0, jnp.clip(share, -1.0, 1.0)
+    again = (at + rise * share) / long
+    spot = jnp.where(past, jnp.clip(again, -1.0, 1.0), bound)
+    # A place that was a corner before it moved along the edge counts as that corner.
+    corner = jnp.where(past & (abs(again) > 1.0), jnp.sign(again), jnp.where(abs(free) > 1.0, bound, 0.0))
+    apart = jnp.where(here, spot * long - at, off) - share * way[:, None]
+    named = jnp.where(here, jnp.where(corner == 0.0, spot, corner) * long, edge)
+    return (_dot(apart, apart), share, jnp.unstack(named, axis=1), corner != 0.0), usable

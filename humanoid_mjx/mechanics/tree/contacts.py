@@ -27,7 +27,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     turn,
     velocity_at,
 )
-from humanoid_mjx.mechanics.tree.boxes import between_boxes
+from humanoid_mjx.mechanics.tree.boxes import between_boxes, with_boxes
 from humanoid_mjx.mechanics.tree.cones import Cone
 from humanoid_mjx.mechanics.tree.kinematics import Kinematics
 from humanoid_mjx.mechanics.tree.segments import Segment, capsules, nearest_shares
@@ -254,7 +254,10 @@ def _downwards(way: Any, normal: Any) -> Any:
 
 def pair_gap_at(pairs: st.Pairs, kinematics: Kinematics) -> GapAt:
     """The gap of the pair of a number: that of many capsules is computed when asked for."""
-    boxes = isinstance(pairs.ones[0], st.Box)
+    boxes, some = (isinstance(shapes[0], st.Box) for shapes in (pairs.ones, pairs.twos))
+    if some and not boxes:
+        found = with_boxes(pairs, kinematics)
+        return lambda index: Gap(*found(index))
     if boxes or len(pairs.ones) <= FEW_PAIRS:
         each = () if boxes else (capsules(shapes, kinematics) for shapes in (pairs.ones, pairs.twos))
         gaps = Gap(*between_boxes(pairs, kinematics)) if boxes else _between(*each)

@@ -160,7 +160,7 @@ def _join_pairs(pairs: Sequence[Pairs]) -> Pairs:
     first = pairs[0]
     ones = tuple(shape for p in pairs for shape in p.ones)
     twos = tuple(shape for p in pairs for shape in p.twos)
-    if len(set(map(type, ones))) > 1:
+    if len(set(map(type, ones))) > 1 or len(set(map(type, twos))) > 1:
         raise _Unlike
     surfaces = [p.surface for p in pairs for _ in p.ones] if len(pairs) > 1 else [first.surface]
     if any(s.softness != surfaces[0].softness or s.margin != surfaces[0].margin for s in surfaces):

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.mechanics.tree import structure as st
-from humanoid_mjx.mechanics.tree.boxes import CONTACTS
+from humanoid_mjx.mechanics.tree.boxes import CONTACTS, PLACES
 from humanoid_mjx.mechanics.tree.refusing import faults
 from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, touching
 from humanoid_mjx.spec import InputError
@@ -163,7 +163,8 @@ def _contacts(m: mujoco.MjModel) -> tuple[list[st.GroundPoints], list[int], list
             geoms += [pair.two] * (len(ground) - len(geoms))
         else:
             one, two = _shape(m, pair.one), _shape(m, pair.two)
-            count = CONTACTS if isinstance(one, st.Box) else 1
+            boxes = isinstance(one, st.Box), isinstance(two, st.Box)
+            count = CONTACTS if all(boxes) else PLACES if any(boxes) and one.half_length else 1
             pairs.append(st.Pairs((one,) * count, (two,) * count, surface))
     return ground, geoms, pairs
 

@@ -143,7 +143,7 @@ class Capsule(NamedTuple):
 
 
 class Box(NamedTuple):
-    """A box that other boxes push."""
+    """A box that other shapes push."""
 
     body: int
     center: Triple
@@ -201,7 +201,8 @@ class GroundPoints(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Capsules, or boxes, that push each other, contact by contact: two boxes stand here `boxes.CONTACTS` times."""
+    """Shapes that push each other, contact by contact: two boxes stand here `boxes.CONTACTS` times, a capsule and a
+    box `boxes.PLACES` times, the box second."""
 
     ones: tuple[Any, ...]
     twos: tuple[Any, ...]
