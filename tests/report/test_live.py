@@ -557,16 +557,18 @@ def test_a_page_that_is_open_shows_the_policy_that_it_chooses(monkeypatch):
         with browser() as opened:
             opened.open(address, 1280, 800)
             seen.append(opened.value(f"{place}.textContent"))
-            opened.value(f"(() => {{ {place}.value = 'walk'; {place}.dispatchEvent(new Event('change')); }})()")
+            opened.value(f"(() => {{ {place}.value = 'walk_dog'; {place}.dispatchEvent(new Event('change')); }})()")
             end = time.monotonic() + 300
-            while opened.value("document.querySelector('figure').player.data.live.policy") != "walk":
+            while opened.value("document.querySelector('figure').player.data.live.policy") != "walk_dog":
                 assert time.monotonic() < end
                 time.sleep(0.1)
             seen.append(opened.value(f"{place}.value"))
             seen.append(opened.faults)
 
-    browsed(monkeypatch, browse, {name: lambda: Live(find_policy("walk")) for name in ("posture_switch", "walk")})
-    assert seen == ["posture_switchwalk", "walk", []]
+    browsed(
+        monkeypatch, browse, {name: lambda: Live(find_policy("walk_dog")) for name in ("posture_switch", "walk_dog")}
+    )
+    assert seen == ["posture_switchwalk_dog", "walk_dog", []]
 
 
 def test_another_policy_is_chosen_in_the_page(monkeypatch):
