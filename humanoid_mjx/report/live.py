@@ -56,12 +56,13 @@ def serve(
       InputError: the port is taken.
     """
 
+    over = threading.Event()
+
     def end(*_: Any) -> None:
-        shown: Window = server.shown
-        if not shown.live.ready:
+        over.set()
+        if not server.shown.live.ready:
             raise KeyboardInterrupt
-        shown.wanted = None
-        shown.live.stop()  # an exception would arise within a step of the physics, of which jax makes a failure
+        server.shown.live.stop()  # an exception would arise within a step of the physics, of which jax makes a failure
 
     with make_server(live, port, tuple(others)) as server:
         address = f"http://{LOOPBACK}:{server.server_address[1]}/"
@@ -71,9 +72,10 @@ def serve(
         before = signal.signal(signal.SIGINT, end)
         try:
             live.run()
-            while (wanted := server.shown.wanted) is not None:
+            while not over.is_set() and (wanted := server.shown.wanted) is not None:
                 server.shown = server.shown.followed(wanted, others[wanted])
-                server.shown.live.run()
+                if not over.is_set():
+                    server.shown.live.run()
         finally:
             signal.signal(signal.SIGINT, before)
 

@@ -95,6 +95,15 @@ def stage():
     return stage
 
 
+@pytest.mark.parametrize("pace", [0.25, 1.0, 4.0])
+def test_the_pace_is_seconds_of_the_robot_a_second(pace):
+    stage = Stage(MODEL)
+    stage.hands.pace, began = pace, time.monotonic()
+    for _ in range(round(0.5 * pace / 0.004)):
+        stage.wait(0.004)
+    assert time.monotonic() - began == pytest.approx(0.5, abs=0.05)
+
+
 def test_the_ground_carries_robot_and_payload_on_a_slope(stage):
     """What presses the feet is the weight: straight up, whatever the ground's slope; heights count from the ground."""
     level = stand(stage, 0.5)
@@ -559,7 +568,8 @@ def test_a_page_that_is_open_shows_the_policy_that_it_chooses(monkeypatch):
             seen.append(opened.value(f"{place}.textContent"))
             opened.value(f"(() => {{ {place}.value = 'walk_dog'; {place}.dispatchEvent(new Event('change')); }})()")
             end = time.monotonic() + 300
-            while opened.value("document.querySelector('figure').player.data.live.policy") != "walk_dog":
+            shown = "(({ data, latest }) => latest.compiling === null && data.live.policy)"
+            while opened.value(f"{shown}(document.querySelector('figure').player)") != "walk_dog":
                 assert time.monotonic() < end
                 time.sleep(0.1)
             seen.append(opened.value(f"{place}.value"))

@@ -60,7 +60,7 @@ class Stage:
     def wait(self, seconds: float) -> None:
         """Wait until the robots' moment so many seconds later has come, and show it where a frame is due."""
         self.time += seconds
-        self._zero += seconds * (1.0 - 1.0 / self.hands.pace)
+        self._zero += seconds * (1.0 / self.hands.pace - 1.0)
         ahead = self.time - (time.monotonic() - self._zero)
         if ahead < -LATEST_S:
             self._zero -= ahead
