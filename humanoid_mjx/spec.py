@@ -414,7 +414,7 @@ def sentence(
     fault: dict[str, Any] = {"ctx": {}} | dict(first)
     parts = [str(part) for part in (where, *fault["loc"])]
     key = ".".join(part for part in parts if part not in ALTERNATIVES and "[" not in part)
-    got = f", got {shown(fault['input'])}"
+    got, nested = f", got {shown(fault['input'])}", "." in key.removeprefix("sweep.")
     match fault["type"]:
         case "float_type" | "int_type" if isinstance(fault["input"], (jax.Array, np.ndarray, np.generic)):
             last = fault["loc"][-1]
@@ -446,7 +446,7 @@ def sentence(
             return f"{key} must hold at least {least} {'entry' if least == 1 else 'entries'}{got}."
         case "int_type" if isinstance(fault["input"], float) and fault["input"].is_integer():
             return f"{key} must be an integer; write {int(fault['input'])}{got}."
-        case "int_type" | "float_type" if isinstance(fault["input"], (list, dict)) and parts[0] in ("task", "learner"):
+        case "int_type" | "float_type" if isinstance(fault["input"], (list, dict)) and nested:
             return f"{key} must be a number{got}; several values are an axis: write sweep.axes.{key}."
         case "string_type" if isinstance(fault["input"], (bool, int, float)):
             return f"{key} must be text{got}; put it into quotes."
