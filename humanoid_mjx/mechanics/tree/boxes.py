@@ -90,7 +90,7 @@ def box_contacts(one: Placed, two: Placed, margin: float) -> tuple[Triple, Tripl
     """Places of the contacts in the world, normals from the first box to the second, and distances, m. Places and
     distances have an axis of `CONTACTS`. Candidates that are no contacts are further apart than `margin`, m.
 
-    Most boxes are apart along the normal of a face: a kernel then computes no more."""
+    Most boxes are apart along the normal of a face."""
     between = two.middle - one.middle
     turned = jnp.stack([_along(two.axes, axis) for axis in one.axes])
     ahead, back = _along(one.axes, between), _along(two.axes, one.middle - two.middle)
@@ -120,11 +120,17 @@ def box_contacts(one: Placed, two: Placed, margin: float) -> tuple[Triple, Tripl
         spots, facing = jnp.where(crossed, place[:, None], spots), jnp.where(crossed, normal, facing)
         return spots, facing, jnp.where(counts, jnp.where(crossed, gap, depths), margin + 1.0)
 
-    def far() -> tuple[Triple, Triple, Any]:
-        spots, facing, distance = jax.tree.map(jnp.zeros_like, jax.eval_shape(near))
-        return spots, facing, distance + (margin + 1.0)
+    return _if_near((faces <= most).all(axis=0), near, margin)
 
-    return jax.lax.cond((faces <= most).all(axis=0).any(), near, far)
+
+def _if_near(flags: Any, near: Callable[[], tuple[Triple, Triple, Any]], margin: float) -> tuple[Triple, Triple, Any]:
+    """`near()` where any pair is near, else distances of more than `margin`, m: a kernel then computes no more."""
+
+    def far() -> tuple[Triple, Triple, Any]:
+        place, normal, distance = jax.tree.map(jnp.zeros_like, jax.eval_shape(near))
+        return place, normal, distance + (margin + 1.0)
+
+    return jax.lax.cond(flags.any(), near, far)
 
 
 def _dot(a: Triple, b: Triple) -> Any:
@@ -330,12 +336,8 @@ def place_gap(
         distance = jnp.where(there, distance, margin + 1.0)
         return box.middle + _along(outward, place), _along(outward, normal), distance
 
-    def far() -> tuple[Triple, Triple, Any]:
-        place, normal, distance = jax.tree.map(jnp.zeros_like, jax.eval_shape(near))
-        return place, normal, distance + (margin + 1.0)
-
     # Beyond a hundredth more than its reach no rounding makes a contact.
-    return jax.lax.cond((_dot(beyond, beyond) <= (1.01 * reach) ** 2).any(), near, far)
+    return _if_near(_dot(beyond, beyond) <= (1.01 * reach) ** 2, near, margin)
 
 
 def _ball_gap(center: Triple, radius: Any, half: Triple) -> tuple[Triple, Triple, Any]:
