@@ -69,9 +69,11 @@ def _successes(
         evaluations = evaluate_all(policies, episodes)
     title = f"{episodes:,} episodes that no training has seen{_changes(worlds[0], overrides)}"
     remarks = [*words_on_returns(policies, evaluations), *played_by(policies)]
+    native = {each.name for each in policies if getattr(each.learner.task, "physics", "") in ("mujoco", "unmodified")}
+    advice = "; single precision misses contacts on slippery ground, --physics mujoco does not"
     remarks += [
-        f"{each.policy} ({each.agent}): the physics gave up in {each.lost:.1%} of episodes, which are no success; "
-        "single precision misses contacts on slippery ground, --physics mujoco does not."
+        f"{each.policy} ({each.agent}): the physics gave up in {each.lost:.1%} of episodes, which are no success"
+        f"{'' if each.policy in native else advice}."
         for each in evaluations
         if each.lost > 0.0
     ]

@@ -41,12 +41,15 @@ class Terrain(Spec):
     )
 
     @model_validator(mode="after")
-    def _alone_holds_probabilities(self) -> "Terrain":
+    def _keys_fit_together(self) -> "Terrain":
         if self.alone and (len(self.alone) != 3 or min(self.alone) < 0 or math.fsum(self.alone) > 1):
             raise ValueError(f"alone must hold three probabilities whose sum is at most 1, got {self.alone}")
         for name, share in zip(("rough", "stairs"), self.alone[1:], strict=False):
             if share and getattr(self, name) is None:
                 raise ValueError(f"alone has a probability of {name}, of which there is no height")
+        for name, key in (("rough", "wavelength"), ("stairs", "width")):
+            if getattr(self, name) is None and getattr(self, key) != type(self).model_fields[key].default:
+                raise ValueError(f"{key} is not read without {name}; leave it out, or set task.terrain.{name}")
         return self
 
     @property

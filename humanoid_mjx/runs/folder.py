@@ -85,7 +85,9 @@ class RunFolder:
         stored = read_config(path)
         with refusing(path):
             run = cls(path, _lock(path, shared), stored)
-        if changed := [key for key in _differences(stored, dict(config)) if key != "modules"]:
+        moved = config["learner"].get("start_from") == str(path.parent)  # `then` of a folder that stands elsewhere now
+        may = {"modules", *(["learner.start_from"] if moved else [])}
+        if changed := [key for key in _differences(stored, dict(config)) if key not in may]:
             run.close()
             first = min(changed, key="chunk".__eq__)  # its default follows from the others
             raise InputError(

@@ -54,6 +54,16 @@ def test_a_sweep_that_ended_between_both_goes_on_with_the_second(moved, tmp_path
     assert_same_rows(sweep(MOVED, again.path, resume=True, quiet=True).later, moved.later)
 
 
+def test_a_run_folder_that_stands_elsewhere_now_is_resumed(moved, tmp_path):
+    shutil.copytree(moved.path, tmp_path / "elsewhere")
+    again = sweep(MOVED, tmp_path / "elsewhere", resume=True, quiet=True)
+    assert_same_rows(again.later, moved.later)
+    parts = {name: CONFIG[name] | FURTHER[name] for name in ("task", "learner")}
+    other = CONFIG | FURTHER | parts | {"learner": parts["learner"] | {"start_from": str(again.path)}}
+    with pytest.raises(InputError, match="made with another config"):
+        sweep(other, moved.path / "then", resume=True, quiet=True)
+
+
 @pytest.mark.parametrize(
     ("then", "words"),
     [

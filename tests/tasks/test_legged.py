@@ -302,6 +302,9 @@ def test_shares_of_a_terrain_are_three_probabilities(alone: tuple[float, ...]):
     Terrain(slope=9.0, rough=0.01, stairs=0.01, alone=(0.33, 0.56, 0.11))  # 1, though their rounded sum is more
     with pytest.raises(ValueError, match="alone has a probability of stairs"):
         Terrain(slope=9.0, rough=0.01, alone=(0.5, 0.2, 0.1))
+    for key, needs in (("width", "stairs"), ("wavelength", "rough")):
+        with pytest.raises(ValueError, match=f"{key} is not read without {needs}; .* set task.terrain.{needs}"):
+            Terrain(slope=9.0, **{key: 0.2})
 
 
 def test_rewards_of_feet_are_of_those_that_touch():
