@@ -30,7 +30,7 @@ from humanoid_mjx.report.web import contents, data_address, facts, image, link, 
 from humanoid_mjx.robot.differences import HEADINGS, differences_of
 from humanoid_mjx.runs.curves import Learning, read_learning
 from humanoid_mjx.runs.folder import read_config, read_provenance
-from humanoid_mjx.runs.ranking import Ranked, best_table, in_words, ranked, rungs_in_words, short
+from humanoid_mjx.runs.ranking import Ranked, best_table, fallen_in_words, in_words, ranked, rungs_in_words, short
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.pace import time_in_words
@@ -109,7 +109,8 @@ def _result(
     caption = f"{some}, best first" if len(points) > 1 else "The only point"
     parts = [table(headings, rows, caption=caption)]
     parts += [text(_capital(line)) for line in in_words(list(learning.axes), points, learning.compared).splitlines()]
-    for words in filter(None, (rungs_in_words(summary), why_stopped(path, summary))):
+    remarks = rungs_in_words(summary), why_stopped(path, summary), fallen_in_words(path, summary)
+    for words in filter(None, remarks):
         parts.append(_note(words, "strong"))
     words = (
         "Greedy: episodes in which nothing is explored or learned, after training. Success is the mean over seeds, the "

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations, pairwise, repeat
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from humanoid_mjx.runs import statistics
+from humanoid_mjx.runs.tables import read_table
 
 
 class Ranked(NamedTuple):
@@ -24,6 +26,9 @@ class Ranked(NamedTuple):
     """Mean over all of training, the area under the learning curve: of the steps where `quickest`, else of the
     return."""
 
+
+TERMS = "task.rewards."
+"""Beginning of the names of columns with the weights of rewards; columns of the names alone have the terms."""
 
 BEST_POINTS = 10
 """Rows of a table of points in a terminal or a notebook."""
@@ -46,6 +51,28 @@ def rungs_in_words(summary: Mapping[str, np.ndarray]) -> str:
     rungs, counts = np.unique(by_point(summary, "rung")[1].max(axis=1), return_counts=True)
     ended = ", ".join(f"{count:,} at rung {rung:g}" for rung, count in zip(rungs, counts, strict=True))
     return f"halving: {counts.sum():,} points ended, {ended}; only those at rung {rungs[-1]:g} are ranked and compared."
+
+
+def fallen_in_words(path: Path, summary: Mapping[str, np.ndarray]) -> str:
+    """A sentence on runs that learned to end their episodes at once, since each step cost more than it brought when
+    they began; "" where there are none."""
+    weights = {name.removeprefix(TERMS): column[0] for name, column in summary.items() if name.startswith(TERMS)}
+    if not (terms := [name for name in summary if weights.get(name, 0) < 0]):
+        return ""
+    table = read_table(path / "results.parquet", ["point", "seed", "return", "steps", "success", *terms])
+    table = {name: column[table["steps"] > 0] for name, column in table.items()}
+    new = np.diff(table["point"] * (summary["seed"].max() + 1) + table["seed"], prepend=-1) != 0
+    first, last = ({name: column[rows] for name, column in table.items()} for rows in (new, np.roll(new, -1)))
+    gone = (first["return"] < 0) & (last["steps"] < first["steps"] / 2) & (last["success"] == 0)
+    if not gone.any():
+        return ""
+    brought = {name: np.mean(first[name][gone] / first["steps"][gone]) for name in ("return", *terms)}
+    worst = min(terms, key=brought.__getitem__)
+    return (
+        f"{gone.sum():,} of {len(gone):,} runs learned to end their episodes at once: at first a step brought "
+        f"{brought['return']:.2g}, of which {worst} {brought[worst]:.2g}. With half the penalty it may pay to go on: "
+        f"--set {TERMS}{worst}={weights[worst] / 2:.3g}"
+    )
 
 
 def ranked(axes: Sequence[str], summary: Mapping[str, np.ndarray], quickest: bool) -> list[Ranked]:

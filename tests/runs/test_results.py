@@ -1,6 +1,7 @@
 """Statistics against plain definitions; figures drawn from tables of every shape."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from small_sweep import of_rows
 
 from humanoid_mjx.report.drawing import CURVES, HEAT_MAPS, TERMS
 from humanoid_mjx.report.figures import curved, learning_curves, sweep_figures
+from humanoid_mjx.runs import ranking
 from humanoid_mjx.runs.ranking import best_table, by_point, compared, find_levels, ranked
 from humanoid_mjx.runs.statistics import iqm, iqm_interval, mean_interval, rate_interval
 from humanoid_mjx.runs.tables import scores
@@ -165,3 +167,31 @@ def test_figures_of_every_number_of_axes(tmp_path, axes, seeds):
     # The greedy success is 1 everywhere: no map is drawn of what is the same everywhere.
     assert [path.name for path in paths[1:]] == (["parameters.png", "greedy_steps.png"] if len(axes) > 1 else [])
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+
+
+def test_runs_that_learned_to_end_at_once_are_told_which_penalty_to_halve(monkeypatch):
+    """Of each run the first and the last point of the curve: the first one falls early, the others go on, one of them
+    with shorter episodes that succeed; points without an episode say nothing."""
+    columns = {
+        "point": [0, 0, 0, 0, 0, 0, 0, 1, 1],
+        "seed": [0, 0, 0, 1, 1, 2, 2, 0, 0],
+        "steps": [60.0, np.nan, 10.0, 60.0, 900.0, 60.0, 10.0, 60.0, 10.0],
+        "return": [-120.0, np.nan, 5.0, -120.0, 40.0, -120.0, 3.0, 6.0, 5.0],
+        "success": [0.0, np.nan, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0],
+        "slip": [-132.0, np.nan, -2.0, -132.0, -20.0, -132.0, -2.0, -1.0, -2.0],
+        "effort": [-6.0, np.nan, -1.0, -6.0, -2.0, -6.0, -1.0, -1.0, -1.0],
+    }
+    table = {name: np.array(column) for name, column in columns.items()}
+    weights = {"task.rewards.slip": -2.4, "task.rewards.effort": -0.006, "task.rewards.speed": 0.6}
+    ends = {name: column[[2, 4, 6, 8]] for name, column in table.items()}
+    summary = ends | {name: np.full(4, weight) for name, weight in weights.items()}
+    monkeypatch.setattr(ranking, "read_table", lambda path, names: {name: table[name] for name in names})
+    assert ranking.fallen_in_words(Path(), summary) == (
+        "1 of 4 runs learned to end their episodes at once: at first a step brought -2, of which slip -2.2. With half "
+        "the penalty it may pay to go on: --set task.rewards.slip=-1.2"
+    )
+    table["return"][0] = 1.0
+    assert ranking.fallen_in_words(Path(), summary) == ""
+    assert ranking.fallen_in_words(Path(), ends) == "", "a task without weights"
+    table["steps"][:] = np.nan
+    assert ranking.fallen_in_words(Path(), summary) == "", "no episode ended"
