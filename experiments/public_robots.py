@@ -29,7 +29,7 @@ import pyarrow.parquet as pq
 from humanoid_mjx import compute
 
 ROBOTS = (
-    *("go1", "go2", "aliengo", "a2", "hyqreal1", "mini_cheetah", "spot", "op3"),
+    *("go1", "go2", "aliengo", "a2", "b2", "hyqreal1", "mini_cheetah", "spot", "op3"),
     *(f"{name}:walk_humanoid" for name in ("h1", "g1", "berkeley_humanoid", "apollo")),
     "t1:walk_humanoid:task.rewards.schedule=0.36",
 )
