@@ -117,7 +117,7 @@ LETTERS = 2000
 """Largest length of an error message."""
 
 UsageError: Any = typer.BadParameter.__base__
-"""What typer raises of words that it does not understand; its module differs between versions of typer."""
+"""The error that typer raises for words that it does not understand; its module differs between versions of typer."""
 
 INTERRUPTED = 130
 """The exit code after Ctrl-C, by the convention of shells."""

@@ -169,7 +169,7 @@ KINDS = {
     "run": "a run folder: humanoid-mjx report {0} shows it, and "
     "humanoid-mjx sweep {0}/config.yaml --out {0} --resume completes it",
 }
-"""What a name may stand for, with what to type for it."""
+"""Kinds of things that a name stands for, with the words to type."""
 
 ENDINGS = {".yaml": "config", ".yml": "config", ".npz": "policy", ".xml": "model"}
 

@@ -62,3 +62,8 @@ def test_a_back_arrow_is_seen():
     arrows[f"{PACKAGE}.bench.legs"] = {f"{PACKAGE}.report.page"}
     arrows[f"{PACKAGE}.robot"] = {f"{PACKAGE}.tasks"}
     assert len(back_arrows(arrows, layers)) == 2
+
+
+def test_docstrings_begin_with_a_noun_or_an_imperative():
+    begin = re.compile(r'"""(what|how|whether|which|where|who|it|they|that|this|these)\b.*', re.IGNORECASE)
+    assert not [found[0] for file in modules().values() for found in begin.finditer(file.read_text(encoding="utf-8"))]

@@ -31,7 +31,7 @@ JOBS = 64
 """Jobs of an array by default."""
 
 ANEW = 1000
-"""How often a job begins anew after a time limit: as often as it takes, since it goes on from its state."""
+"""Largest number of new beginnings of a job after time limits: in effect none, since it goes on from its state."""
 
 LOGS = "slurm"
 """The folder in a run folder with the jobs' scripts and what they print."""

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 
 class Ways(NamedTuple):
-    """What is the faster of two ways to compute the same, and how much is computed at a time; by default on a GPU."""
+    """Choices between two ways to compute the same, by speed, and sizes of batches; the defaults are those of a GPU."""
 
     worlds: int = 32_768
     """Largest number of worlds to move side by side: more gain nothing, and fewer report sooner."""
@@ -30,7 +30,7 @@ class Ways(NamedTuple):
     devices_share_runs: bool = False
     """Several devices may train one run, where there are fewer runs."""
     width_rounds: bool = False
-    """How many networks train side by side changes their last bits, so that a plan fixes it."""
+    """True if the number of networks side by side changes their last bits, so that a plan fixes it."""
 
 
 CPU = Ways(

@@ -174,7 +174,7 @@ class _Graph:
 
 
 def _half_turn(node: Callable[..., str], y: Any, x: Any, one: Any) -> str:
-    """What `atan2` adds to the arc tangent of y / x: half a turn where x is negative."""
+    """Return the angle that `atan2` adds to the arc tangent of y / x: half a turn where x is negative."""
     turn = node("Where", [node("Less", [y, 0 * one]), -np.pi * one, np.pi * one])
     return node("Where", [node("Less", [x, 0 * one]), turn, 0 * one])
 

@@ -40,7 +40,7 @@ OBSERVED = "task.observe", "task.symmetric"
 
 
 class _Origin(pydantic.BaseModel):
-    """Where a policy comes from: `StoredPolicy.origin`."""
+    """Origin of a policy: `StoredPolicy.origin`."""
 
     model_config = pydantic.ConfigDict(extra="forbid", strict=True)
 

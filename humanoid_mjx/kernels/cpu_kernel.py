@@ -67,7 +67,7 @@ _objects: dict[str, bytes] = {}
 """Compiled functions of this process by name."""
 
 _engines: list[Any] = []
-"""What holds their code."""
+"""Engines of LLVM, which own the code."""
 
 _registering = threading.Lock()
 
@@ -135,7 +135,7 @@ def _target() -> Any:
 
 @lru_cache
 def _machine() -> str:
-    """What compiled code follows from beside LLVM's code."""
+    """Return the versions and features that compiled code depends on."""
     import llvmlite.binding as llvm
 
     return f"{llvm.llvm_version_info} {llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"

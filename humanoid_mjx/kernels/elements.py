@@ -58,7 +58,7 @@ class Operation(NamedTuple):
     """An operation on single elements."""
 
     name: str
-    """That of the primitive."""
+    """Name of the primitive."""
     bind: Callable[..., Array]
     params: dict[str, Any]
 

@@ -187,7 +187,7 @@ def _summed(each: int, interpret: bool, values: Array) -> Array:
 
 
 def _any(flags: Array) -> Array:
-    """Whether any of a block's flags is true. Triton has no sum of flags."""
+    """Return whether any of a block's flags is true. Triton has no sum of flags."""
     return jnp.max(flags.astype(jnp.int32)) > 0
 
 

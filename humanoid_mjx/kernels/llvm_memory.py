@@ -84,7 +84,7 @@ def _read(code: Code, params: dict[str, Any], args: list[Value]) -> list[Value]:
 
 
 def _loaded(code: Code, address: Value, dtype: np.dtype, apart: int) -> Value:
-    """What is at an address, or at one for each world; `apart`: numbers from one word to the next."""
+    """Load the value at an address, or at one for each world; `apart`: numbers from one word to the next."""
     kind = type_of(dtype, address.uniform and apart == 1)
     if address.uniform:
         return Value(code.value(f"load {kind}, ptr {address.name}, align {4 * apart}"), dtype, apart == 1)

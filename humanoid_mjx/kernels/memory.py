@@ -51,9 +51,9 @@ class Region:
         name = f"region{number}_${{:uid}}"
         code = f".{self.space} .align 4 .b8 {name}[{4 * self.stride * words}]; mov.u32 $0, {name};"
         self.address = None if interpret else assembly(code, "=r,r", jnp.int32, self.token)
-        """That of the first word, in bytes."""
+        """Address of the first word, in bytes."""
         self.seen: list[Values] = []
-        """What was read since the last write."""
+        """Values read since the last write."""
 
     def place(self, words: Address) -> Address:
         """The place so many words from the beginning."""

@@ -51,7 +51,7 @@ CALLS |= {"custom_vmap_call": "call"}
 
 
 def operations(jaxpr: Jaxpr) -> int:
-    """How many operations a traced function has, those of calls, loops and branches among them."""
+    """Count the operations of a traced function, those of calls, loops and branches among them."""
     return len(jaxpr.eqns) + sum(operations(part) for eqn in jaxpr.eqns for part in jaxprs_in_params(eqn.params))
 
 

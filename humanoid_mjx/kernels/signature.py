@@ -21,7 +21,7 @@ class Kind(NamedTuple):
     """Kind of an array that a kernel takes or gives."""
 
     shape: tuple[int, ...]
-    """That of a world."""
+    """Shape of one world's array."""
     dtype: Any
     role: Literal["rows", "uniform", "memory", "record"] = "rows"
     """`rows`: (*shape, worlds). `uniform`: one array for all worlds. `memory`: (worlds, *shape), whose entries are

@@ -49,7 +49,7 @@ class Kept:
 
     region: Region
     word: int
-    """That of the first vector."""
+    """Number of its first vector in the region."""
     shape: tuple[int, ...]
     dtype: Any
     fixed: bool = False
@@ -123,9 +123,9 @@ class Threads:
         self.control = {"while": self._while, "cond": self._cond}
         self.numbers = count()
         self.made: dict[Any, tuple[Element, Sequence[Element]]] = {}
-        """What the part that is traced now has computed, and of which elements."""
+        """Results of the part under trace, with their operands."""
         self.regions: list[Region] = []
-        """Memory that what is traced now may use."""
+        """Memory that the part under trace may use."""
 
     def evaluate(self, closed: ClosedJaxpr, args: Sequence[Held]) -> list[Held]:
         """Evaluate a traced function; arguments and results are numpy arrays of elements, or in memory.
@@ -535,7 +535,7 @@ def _of_keys(eqn: Any) -> ClosedJaxpr:
 
 
 def _fixed_and_carried(eqn: Any) -> tuple[int, int]:
-    """How many of a scan's first arguments are the same in each step, and how many that follow are carried.
+    """Count a scan's first arguments that are the same in each step, and the carried ones that follow.
 
     The rest of arguments and results have one axis more than in a step. The parameters say it otherwise in each jax.
     """

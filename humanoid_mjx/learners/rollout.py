@@ -37,7 +37,7 @@ class Episode(NamedTuple):
     discounted_return: Float[Array, "*episodes"]
     """Sum over the steps k of `discount**k` times the reward."""
     lost: Bool[Array, "*episodes"]
-    """Whether the physics gave up, see `World.diverged`."""
+    """True where the physics gave up, see `World.diverged`."""
 
 
 Loop = tuple[State, Float[Array, "2"], IntScalar, Array]

@@ -62,7 +62,7 @@ class Unmodified(Native):
         return super().start(qpos, qvel)._replace(warmstart=jnp.asarray(self._team.rest, float))
 
     def words(self, period: float) -> str:
-        """What moves the robot, in a sentence; `period`, s, is that of decisions."""
+        """Describe in a sentence what moves the robot; `period`, s, is that of decisions."""
         (_, _, aimed, applied), m = self._team.controls, self._team.base
         solver = word(mujoco.mjtIntegrator, m.opt.integrator), word(mujoco.mjtCone, m.opt.cone)
         ways = {"set-points by position actuators": aimed, "the servo's torques by actuators": ~aimed & ~applied}

@@ -65,7 +65,7 @@ EFFECTS = {
     "random": "each dot a point, its mean success or median over seeds, orange if not told apart from the best; lines: "
     "local means of the points; bars: the share that a parameter explains by itself; all with 95 % intervals",
 }
-"""What the figure of the parameters shows, by the mode of the sweep."""
+"""Captions of the figure of the parameters, by the mode of the sweep."""
 
 
 def mapped(learning: Learning) -> list[str]:

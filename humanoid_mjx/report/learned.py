@@ -27,7 +27,7 @@ repeated for them."""
 
 
 class Stages(NamedTuple):
-    """What a table knew after some numbers of episodes, and the moves made in each state by then."""
+    """A table after some numbers of episodes, and the moves made in each state by then."""
 
     episodes: Int[np.ndarray, " stages"]
     tables: Float[np.ndarray, "stages states actions"]

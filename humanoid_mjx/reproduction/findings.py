@@ -179,7 +179,7 @@ def listed(values: Iterable[Any]) -> str:
 
 
 def as_text(value: Any) -> str:
-    """What is printed or comes out: a number, to all digits that are printed anywhere; a list or a mapping of such."""
+    """Write a printed or computed value: a number to all digits that are printed anywhere, a list or a mapping."""
     if isinstance(value, (list, tuple)):
         return ", ".join(map(as_text, value))
     if isinstance(value, dict):

@@ -44,14 +44,14 @@ TOLERANCES = (5e-5, 0.005, 0.0005, 0.005, 0.0005)
 """Half of the last digit of section 7 D's errors, rad; joint 1's is that of its place."""
 
 OVERSHOOT_RAD, LEAST_SHOWN = 1e-3, 1e-6
-"""What counts as an overshoot, and the least error that the figures show, rad."""
+"""Smallest overshoot that counts, and the least error that the figures show, rad."""
 
 FACTORS = tuple(2.0**power for power in range(-2, 8))
 SHARES = (0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
 """Factors on the gains, and shares of Kp Kd, the largest Ki of a stable joint of unit inertia, that may cure errors."""
 
 BEGIN = np.radians(thesis.QUINTIC_RANGES)[:, 0]
-"""Where the planned motion begins, rad."""
+"""Start of the planned motion, rad."""
 
 CONFIG = {
     name: {f"joint{i}": gain for i, gain in enumerate(gains, start=1)}

@@ -52,7 +52,7 @@ BEND = "bend of legs at home, as degrees of hip pitch: a gait's `lift` adds to i
 STEPS = "factor on a gait's `lift` and `sway`: soft joints do not get as far as they are told"
 RESTS = "stand still when told to stand; false: step on the spot, since it would tip over"
 MOTION: dict[str, Any] = {"shares": (), "steps": 1.0, "rests": True}
-"""What of a robot is no part of its model, as by default."""
+"""Default values of a robot beside its model."""
 
 
 def listed(description: str) -> Any:

@@ -157,7 +157,7 @@ def controls_of(m: mujoco.MjModel, joints: Sequence[str], constant: Float[np.nda
     holds = np.array([gains(m, motor)[0] > 0 for motor in motors], bool)
 
     def anywhere(which: Any) -> Any:
-        """Whether a joint has such an actuator, for each actuator."""
+        """Mask of the actuators whose joint has such an actuator."""
         return np.bincount(of, which, len(joints))[of] > 0
 
     held, acts = anywhere(holds), ~damps & (limits > 0)

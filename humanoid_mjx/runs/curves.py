@@ -16,7 +16,7 @@ from humanoid_mjx.spec import InputError
 
 @dataclass(frozen=True)
 class Learning:
-    """What a sweep has learned: curves and final values, by point and seed; NaN where a run has no number."""
+    """Results of a sweep: curves and final values, by point and seed; NaN where a run has no number."""
 
     mode: str
     """`grid`, `zip`, `random`, or `halving`, of which the points that were stopped are left out."""

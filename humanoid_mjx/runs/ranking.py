@@ -45,7 +45,7 @@ def furthest(columns: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
 
 
 def rungs_in_words(summary: Mapping[str, np.ndarray]) -> str:
-    """How far the points of a sweep in mode halving got; nothing of another sweep."""
+    """Say how far the points of a sweep in mode halving got; "" of another sweep."""
     if "rung" not in summary:
         return ""
     rungs, counts = np.unique(by_point(summary, "rung")[1].max(axis=1), return_counts=True)
@@ -211,7 +211,7 @@ def by_point(summary: Mapping[str, np.ndarray], name: str) -> tuple[np.ndarray, 
 
 
 def in_words(axes: Sequence[str], points: Sequence[Ranked], found: Compared) -> str:
-    """What a sweep has found, in a sentence or two: the best point, how many are not told apart from it, and which
+    """Say in a sentence or two what a sweep has found: the best point, how many are not told apart from it, and which
     parameter matters."""
     if len(points) < 2 or not found.complete:
         return ""
@@ -237,7 +237,7 @@ def in_words(axes: Sequence[str], points: Sequence[Ranked], found: Compared) -> 
 
 
 def _at_ends(axes: Sequence[str], points: Sequence[Ranked]) -> str:
-    """Which values of the best point are the least or the greatest of three or more, in words."""
+    """Name the values of the best point that are the least or the greatest of three or more."""
     ends = []
     for axis, values in zip(axes, zip(*(point.values for point in points), strict=True), strict=True):
         numbers = len(set(values)) > 2 and all(isinstance(value, int | float | np.number) for value in values)
@@ -285,7 +285,7 @@ def best_table(
 
 
 def _as_good(point: int, best: int, measured: Mapping[str, tuple[np.ndarray, np.ndarray]], found: Compared) -> str:
-    """Whether a point is as good as the best; else the interval of its difference, seed by seed. `measured`: both
+    """Say whether a point is as good as the best, or the interval of its difference, seed by seed. `measured`: both
     measures of `found` as `by_point` has them."""
     for judged, words in ((found.policy, "no,"), (found.learning, "slower,")):
         if point not in judged.as_good and judged.measure:

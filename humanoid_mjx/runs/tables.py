@@ -150,7 +150,7 @@ def run_numbers(runs: Mapping[str, np.ndarray], points: int, seeds: int) -> np.n
 
 
 def _are_runs(arrays: dict[str, np.ndarray]) -> bool:
-    """Whether arrays have a row for each of some runs."""
+    """Return whether arrays have a row for each of some runs."""
     numbers = [arrays.get(name, np.array(None)) for name in ("point", "seed")]
     fit = all(array.dtype.kind == "i" and array.ndim == 1 for array in numbers)
     return fit and all(array.shape[:1] == numbers[0].shape for array in arrays.values())

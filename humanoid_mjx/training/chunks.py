@@ -122,7 +122,7 @@ Event: TypeAlias = UnderWay | Growth | State | Finished | Note | Ended
 
 
 class Given(NamedTuple):
-    """What the driver gives a training of some chunks."""
+    """Input of a training of some chunks, from the driver."""
 
     finished: set[int]
     """Their runs that are stored."""
@@ -134,7 +134,7 @@ class Given(NamedTuple):
 
 @runtime_checkable
 class Desk(Protocol):
-    """What an engine asks of the driver, and gives it."""
+    """Interface of the driver for engines."""
 
     machines: set[str]
     """The machines that train, where others than this one do."""

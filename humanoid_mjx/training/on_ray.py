@@ -30,7 +30,7 @@ LOCAL = "local"
 """The address that stands for a cluster of this machine, which ends with the sweep."""
 
 TRIES = 4
-"""How often a chunk is trained whose worker is lost."""
+"""Largest number of trainings of a chunk whose workers are lost."""
 
 LOOK_EVERY_S = 1.0
 """Seconds between two messages of a worker about its progress."""

@@ -159,7 +159,7 @@ def _train_step(learner: Learner, carry: Any) -> Any:
 
 
 def _recorded(outcome: Outcome) -> dict[str, Any]:
-    """What a step adds to the columns of `Training.record`, by their names."""
+    """Return the values that a step adds to the columns of `Training.record`, by their names."""
     squares = {"updates": 1.0, **dict(sorted(outcome.squares.items()))} if outcome.squares else {}
     return {"episodes": outcome.episodes, **dict(sorted(outcome.totals.items())), **squares}
 

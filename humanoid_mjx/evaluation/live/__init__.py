@@ -66,7 +66,7 @@ class Live:
         self.going = threading.Event()
         """Cleared: wait."""
         self.once = False
-        """Whether to wait after the next decision."""
+        """True: wait after the next decision."""
         self.over = False
         self.going.set()
 

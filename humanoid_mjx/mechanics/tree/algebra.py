@@ -155,8 +155,8 @@ def with_entry(values: Any, index: Any, new: Any) -> Any:
 
 
 def filled(row: Callable[[Any], Thing], size: Any, count: Any) -> tuple[Any, Thing]:
-    """How many rows are filled, and `row` of each of the first `count` indices as a pytree of arrays of this size,
-    which are else 0: a loop's code stays in the cache of instructions."""
+    """Return the number of filled rows, and `row` of each of the first `count` indices as a pytree of arrays of this
+    size, which are else 0: a loop's code stays in the cache of instructions."""
 
     def further(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         each = zip(carry[1], jax.tree.leaves(row(carry[0])), strict=True)

@@ -356,7 +356,7 @@ def _ball_gap(center: Triple, radius: Any, half: Triple) -> tuple[Triple, Triple
 
 
 def _shares(middle: Triple, way: Triple, half: Triple, reach: Any) -> tuple[Any, Any, Any, Any]:
-    """Where a capsule's axis `middle +- way` touches a box, as shares of `way`, and which of these two places are some;
+    """Return the two places where a capsule's axis `middle +- way` touches a box, as shares of `way`, and their masks;
     in the box's axes. `reach`: the capsule's radius and the margin, m."""
     square = _dot(way, way)
     most = 2.0 * (reach + jnp.sqrt(square) + half.sum(axis=0))

@@ -77,7 +77,7 @@ def _merge(things: Sequence[Any], laned: bool = False) -> Any:
 
 
 def _with_lanes(tree: Tree, limbs: Sequence[tuple[int, ...]]) -> Tree:
-    """These limbs as the last branch."""
+    """Return the tree with these limbs as the last branch."""
     inside = {body for limb in limbs for body in limb}
     kept = [index for index in range(len(tree.bodies)) if index not in inside]
     new = {old: index for index, old in enumerate(kept)}

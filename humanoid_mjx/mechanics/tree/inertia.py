@@ -144,7 +144,7 @@ def factor(tree: Tree, matrix: Matrix) -> Factors:
 
 
 class _Lanes(NamedTuple):
-    """What lanes change of rows of the stem, which is summed over them once."""
+    """Changes by lanes of rows of the stem, summed over the lanes once."""
 
     tree: Tree
     changes: dict[int, Any]

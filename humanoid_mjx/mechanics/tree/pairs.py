@@ -35,7 +35,7 @@ SLOTS = 8
 humanoids that are thrown about are 13 to 15 % slower on a GPU, and no fewer of them are lost."""
 
 Flags = Bool[Array, "slots facets 1 1"] | Float[Array, "slots 3 1 1"]
-"""What `Touch.active` is of each contact."""
+"""`Touch.active` of each contact."""
 
 
 class Slots(NamedTuple):
@@ -46,7 +46,7 @@ class Slots(NamedTuple):
     """The rows of G, by contact and by degree of freedom of `dofs`: (slots, dofs, 3, 1, 1)."""
     dofs: list[int]
     count: Any
-    """How many there are."""
+    """Number of contacts."""
 
     def facets(self, tree: Tree, x: Sequence[Any]) -> Any:
         """By how much the bodies part faster than they should, along each facet."""

@@ -133,7 +133,7 @@ def _dry(m: mujoco.MjModel, dof: int) -> st.Dry | None:
 
 
 def _drag(m: mujoco.MjModel) -> st.Drag | None:
-    """What resists a free body, whose degrees of freedom are the first six; its joint has one value of each kind."""
+    """Read the resistance of a free body. Its six degrees of freedom are the first, and have one value of each kind."""
     dry = tuple(found for dof in (0, 3) if (found := _dry(m, dof)))
     drag = st.Drag(float(m.dof_armature[0]), _damping(m, 0), dry)
     return drag if drag != (0.0, 0.0, ()) else None

@@ -92,15 +92,15 @@ def search(tree: Tree, problem: Problem, start: list[Any]) -> tuple[list[Any], A
 
 
 def _differ(one: Any, two: Any, cones: Sequence[Cone], x: Sequence[Any], errors: Any) -> Any:
-    """Whether flags, or words of flags, differ, or the pulls of these cones from those in the equations of `one`, by
-    more than so many rounding errors of theirs and of the accelerations `x`."""
+    """Return whether flags, or words of flags, differ, or the pulls of these cones from those in the equations of
+    `one`, by more than so many rounding errors of theirs and of the accelerations `x`."""
     each, left = zip(*map(jax.tree.leaves, (one, two)), strict=True), iter(cones)
     by = (_size(x), errors) if cones else ()
     return _in_any_lane(jnp.any, [next(left).bends(a, b, *by) if a.dtype.kind == "f" else a != b for a, b in each])
 
 
 def _same(one: Sequence[Any], two: Sequence[Any], errors: Any) -> Any:
-    """Whether two accelerations are the same but for so many rounding errors."""
+    """Return whether two accelerations are the same but for so many rounding errors."""
     change = _in_any_lane(jnp.max, [jnp.abs(a - b) for a, b in zip(one, two, strict=True)])
     size = _size(two)
     return change <= errors * jnp.finfo(change.dtype).eps * size

@@ -66,7 +66,7 @@ class Dry(NamedTuple):
 
 
 class Drag(NamedTuple):
-    """What resists the motion of a free body: alike along and about all axes."""
+    """Resistance to the motion of a free body: alike along and about all axes."""
 
     armature: float
     damping: float
@@ -232,7 +232,7 @@ class Tree(NamedTuple):
     free: int | None
     """The body that floats, whose six degrees of freedom are the first; None: everything hangs on the world."""
     drag: Drag | None
-    """What resists the floating body; None where nothing does."""
+    """Resistance to its motion; None without any."""
     coordinates: tuple[tuple[int, ...], ...]
     dofs: tuple[tuple[int, ...], ...]
     """Index of each coordinate in `qpos` and of each degree of freedom in `qvel`: one, or one for each lane."""

@@ -81,7 +81,7 @@ class _Names(dict[str, Any]):
 
 
 def _names_at(states: States) -> dict[str, Any]:
-    """What formulas use and no text defines."""
+    """Names that formulas use and no text defines."""
     names: dict[str, Any] = {name: getattr(np, name) for name in MATHEMATICS}
     for i, (angle, length) in enumerate(zip(states.q, states.lengths, strict=True), start=1):
         names |= {f"theta{i}": angle, f"c{i}": np.cos(angle), f"s{i}": np.sin(angle), f"l{i}": length}

@@ -1,4 +1,4 @@
-"""What happens to a body: pushes, worlds that differ from episode to episode, and a fall, which ends one."""
+"""Events of a body: pushes, worlds that differ from episode to episode, and a fall, which ends one."""
 
 import jax
 import jax.numpy as jnp
