@@ -27,6 +27,8 @@ class Ways(NamedTuple):
     """Matrices are filled up to a number of columns that the device likes."""
     loss_by_parts: bool = True
     """The loss of a batch is that of its parts, side by side."""
+    draws_ahead: bool = False
+    """Random numbers are drawn before it is known which of two is needed: one waits for the other no longer."""
     devices_share_runs: bool = False
     """Several devices may train one run, where there are fewer runs."""
     width_rounds: bool = False
@@ -41,6 +43,7 @@ CPU = Ways(
     short_numbers=False,
     columns_filled=False,
     loss_by_parts=False,
+    draws_ahead=True,
     devices_share_runs=True,
     width_rounds=True,
 )

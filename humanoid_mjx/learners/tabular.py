@@ -25,7 +25,7 @@ from pydantic import Field, model_validator
 
 from humanoid_mjx.compute import Program
 from humanoid_mjx.compute.rng import uniform
-from humanoid_mjx.compute.ways import add_at
+from humanoid_mjx.compute.ways import add_at, ways
 from humanoid_mjx.learners.base import Learner, Outcome
 from humanoid_mjx.learners.exploration import QRow, drawn, entry, softmax, upper_bounds
 from humanoid_mjx.spec import traced
@@ -312,12 +312,16 @@ class TabularQ(Learner):
         """Choose an action in a row.
 
         Three random numbers belong to a step: whether an action at random takes the place of the preferred one, the
-        random action, the choice among equally good ones. Of the last two only one is needed, so only that one is
-        drawn.
+        random action, the choice among equally good ones. Of the last two only one is needed. A CPU draws both, which
+        is sooner than to wait until it is known which.
         """
         draw = jnp.asarray(step).astype(jnp.uint32) * np.uint32(3)
         preferred = uniform(agent.key, draw) < self._obedience(agent, q_row)
-        choice = uniform(agent.key, draw + jnp.where(preferred, np.uint32(2), np.uint32(1)))
+        tie, other = draw + np.uint32(2), draw + np.uint32(1)
+        if ways().draws_ahead:
+            choice = jnp.where(preferred, uniform(agent.key, tie), uniform(agent.key, other))
+        else:
+            choice = uniform(agent.key, jnp.where(preferred, tie, other))
         random = (choice * self.task.num_actions).astype(jnp.int32)
         greedy = self.exploration == "epsilon_greedy"
         best = self._greedy(self._values(q_row), choice) if greedy else drawn(self._odds(agent, q_row), choice)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from humanoid_mjx import make_learner, make_task
 from humanoid_mjx.compute import rng
-from humanoid_mjx.compute.ways import add_at
+from humanoid_mjx.compute.ways import add_at, ways
+from humanoid_mjx.learners import tabular
 from humanoid_mjx.learners.rollout import greedy, rollout
 from humanoid_mjx.tasks.navigate import shortest_path
 from humanoid_mjx.training.program import advance, begin, curve, measures
@@ -183,3 +184,17 @@ def test_additions_of_all_runs_are_those_of_each(agents, shared, backend, monkey
     given = [x[0] if name == shared else x for name, x in args.items()]
     found = jax.vmap(add_at, in_axes=[None if name == shared else 0 for name in args])(*given)
     np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("keys", [{"epsilon": 0.5}, {"exploration": "boltzmann", "temperature": 2.0}])
+def test_a_gpu_draws_what_a_cpu_draws(keys, monkeypatch):
+    """It draws only the number that it needs, a CPU both: the same to the bit."""
+    task = make_task("joint_reach", joint=5, states=13)
+    learner = make_learner("tabular_q", task, episodes=20, **keys)
+    found = train_to_end(learner, 2)
+    monkeypatch.setattr(tabular, "ways", lambda: ways()._replace(draws_ahead=not ways().draws_ahead))
+    jax.clear_caches()
+    other = train_to_end(learner, 2)
+    jax.tree.map(
+        np.testing.assert_array_equal, (found.carry.q_table, found.record), (other.carry.q_table, other.record)
+    )
