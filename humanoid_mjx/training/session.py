@@ -107,7 +107,7 @@ class Session:
             )
         self._begin(self.rung + 1)
         rung = plan.rungs[self.rung]
-        best = ranked((), {"point": arrays["point"]} | scores(arrays), plan.config.episodes is not None)[: rung.points]
+        best = ranked((), {"point": arrays["point"]} | scores(arrays), plan.unit == "episode")[: rung.points]
         self.reporter.note(
             f"rung {self.rung + 1} of {len(plan.rungs)}: the best {rung.points:,} of {every:,} points train anew, "
             f"with {rung.budget:,} {plan.unit}s"

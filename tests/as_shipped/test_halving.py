@@ -121,3 +121,16 @@ def test_points_of_several_programs_and_steps_are_halved(tmp_path):
     assert results["step"][results["rung"] == 2][:4].tolist() == [16, 32, 48, 64]
     assert not run.summary["diverged"].any()
     assert len(list((run.path / "tensorboard").iterdir())) == 2, "those of the last rung"
+
+
+def test_a_length_that_is_left_out_judges_as_one_that_is_written(tmp_path):
+    """A task that pays for every step: the points of the fewest steps are not those of the highest return."""
+    axes = {"learner.epsilon": [0.1, 0.6], "task.step_reward": [-3.0, 3.0]}
+    search = {
+        "task": {"name": "joint_reach", "joint": 1, "max_episode_steps": 60},
+        "learner": {"name": "tabular_q", "discount": 0.95},
+        "sweep": {"mode": "halving", "eta": 2, "rungs": 2, "axes": axes},
+    }
+    default = {key: x for key, x in (CONFIG | search).items() if key != "episodes"}
+    both = [sweep(x, tmp_path / str(len(x))).summary["rung"] for x in (default, default | {"episodes": 1000})]
+    np.testing.assert_array_equal(*both)
