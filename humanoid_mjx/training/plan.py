@@ -187,7 +187,7 @@ class Plan:
         """The count in `unit`s at each record point of a run, by its rung."""
         record, sizes = self.config.record, [learner.update_steps for learner in self.learners]
         budgets = np.array([rung.budget for rung in self.rungs])
-        places = np.arange(1, record + 1) * budgets[:, None] // record
+        places = (np.arange(1, record + 1) * budgets[:, None] - record // 2 - 1) // record + 1
         ends = np.min([-(-budgets // size) * size for size in sizes], axis=0)  # the last update may end beyond a budget
         return np.concatenate([places[:, :-1], ends[:, None]], axis=1)
 

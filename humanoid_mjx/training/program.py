@@ -63,11 +63,16 @@ def advance(learner: Learner, training: Training, steps: IntScalar) -> tuple[Tra
 
 
 def train(learner: Learner, training: Training, steps: IntScalar) -> Training:
-    """Train for `steps` steps, or up to a lap more, or less where training ends."""
+    """Train for `steps` steps, or up to a lap more, or less where training ends.
+
+    An episode counts at the point of the curve in which its middle lies, moved so that none lies between two points,
+    where rounding would choose. `plan.Plan.places` are the counts.
+    """
+    middle = (learner.record // 2 + 0.5) / learner.record
 
     def step(_: IntScalar, inner: tuple[Any, Array]) -> tuple[Any, Array]:
         carry, outcome = _train_step(learner, inner[0])
-        place = jnp.asarray(outcome.done, jnp.float32) * (learner.record / learner.budget)
+        place = (jnp.asarray(outcome.done, jnp.float32) + middle) * (learner.record / learner.budget)
         point = jnp.minimum(place.astype(jnp.int32), learner.record - 1)
         values = [jnp.asarray(value, jnp.float32) for value in _recorded(outcome).values()]
         return carry, add_at(inner[1], point, jnp.stack(values, axis=-1))

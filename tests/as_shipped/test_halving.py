@@ -132,5 +132,5 @@ def test_a_length_that_is_left_out_judges_as_one_that_is_written(tmp_path):
         "sweep": {"mode": "halving", "eta": 2, "rungs": 2, "axes": axes},
     }
     default = {key: x for key, x in (CONFIG | search).items() if key != "episodes"}
-    both = [sweep(x, tmp_path / str(len(x))).summary["rung"] for x in (default, default | {"episodes": 1000})]
-    np.testing.assert_array_equal(*both)
+    one, other = (sweep(x, tmp_path / str(len(x))).summary["rung"] for x in (default, default | {"episodes": 1000}))
+    np.testing.assert_array_equal(one, other)

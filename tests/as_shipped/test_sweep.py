@@ -71,6 +71,20 @@ def test_tables_hold_a_row_for_every_point_seed_and_record_step(reference):
     assert {"versions", "machine", "precision", "seed", "wall_s", "compile_s"} <= set(provenance)
 
 
+@pytest.mark.parametrize(("episodes", "record"), [(82, 2), (82, 30), (41, 3), (5, 2)])
+def test_a_row_of_a_learning_curve_is_the_mean_of_the_episodes_since_the_row_before(tmp_path, episodes, record):
+    def columns(record):
+        return sweep(CONFIG | {"episodes": episodes, "record": record}, tmp_path / str(record)).results
+
+    rows, every = columns(record), columns(episodes)
+    ends = rows["episode"][:record]
+    assert np.abs(ends - np.arange(1, record + 1) * episodes / record).max() <= 0.5
+    for name in ("steps", "return", "success"):
+        parts = np.split(every[name].reshape(-1, episodes), ends[:-1], axis=1)
+        means = np.stack([part.mean(axis=1) for part in parts], axis=1)
+        np.testing.assert_allclose(rows[name].reshape(-1, record), means, rtol=1e-5, err_msg=name)
+
+
 def test_arrays_without_entries_are_made_on_each_device():
     """jaxlib 0.11.2 crashes when it compiles a `shard_map` that takes one."""
     mesh = jax.sharding.Mesh(np.array(jax.devices())[:, None], (RUNS, ENVS))
