@@ -62,8 +62,11 @@ def runs_table(found: Sequence["Listed"]) -> Table:
 
 def _name(run: "Listed") -> str:
     """A run folder's name, with that of its config where it does not follow from it."""
-    name = run.path.resolve().name
-    return name if re.fullmatch(rf"{re.escape(run.config)}(-\d+)?", name) else f"{name} ({run.config})"
+    from humanoid_mjx.runs.folder import THEN
+
+    path = run.path.resolve()
+    name = f"{path.parent.name}/{THEN}" if path.name == THEN else path.name
+    return name if re.fullmatch(rf"{re.escape(run.config)}(-\d+)?(/{THEN})?", name) else f"{name} ({run.config})"
 
 
 def _state(run: "Listed") -> str:

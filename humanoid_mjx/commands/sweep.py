@@ -15,7 +15,7 @@ from humanoid_mjx import compute
 from humanoid_mjx.commands import console
 from humanoid_mjx.compute import kept
 from humanoid_mjx.config import Config, load
-from humanoid_mjx.runs.folder import read_provenance
+from humanoid_mjx.runs.folder import THEN, read_provenance
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.progress import Bar
 
@@ -46,7 +46,7 @@ def run_sweep(
 
         engine = partial(OnRay, address=ray)
     compute.start(mjx="mjx-jax" in loaded.physics)
-    from humanoid_mjx.training.sweep import THEN, check_later, sweep  # once a config is there: half a second
+    from humanoid_mjx.training.sweep import check_later, sweep  # once a config is there: half a second
     from humanoid_mjx.training.trackers import Tracking
 
     check_later(loaded)

@@ -114,7 +114,11 @@ class Config(pydantic.BaseModel):
                 raise ValueError(f"learner.{key}: unknown key; {key} stands at the top level")
         if self.then is not None and (odd := sorted(self.then.keys() - {*CHANGES})):
             raise ValueError(f"then.{odd[0]}: unknown key; what may change is {', '.join(CHANGES)}")
-        for axis in (axes := self.sweep.axes if self.sweep else {}):
+        axes, learner = self.sweep.axes if self.sweep else {}, (self.then or {}).get("learner")
+        again = isinstance(learner, dict) and "start_from" in learner
+        if again or (self.then is not None and "learner.start_from" in axes):
+            raise ValueError("then: goes on from the first training; leave learner.start_from out here and there")
+        for axis in axes:
             if above := [other for other in axes if axis.startswith(f"{other}.")]:
                 raise ValueError(f"sweep.axes.{axis}: values of the axis {above[0]} replace it; leave one of them out")
             if self.then and _holds(self.then, axis.split(".")):

@@ -38,6 +38,9 @@ from humanoid_mjx.spec import InputError
 
 Arrays = Mapping[str, np.ndarray]
 
+THEN = "then"
+"""Folder in a run folder of the training that goes on from it."""
+
 
 class RunFolder:
     """A run folder, locked while this object lives."""

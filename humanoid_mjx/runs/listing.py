@@ -11,7 +11,7 @@ import numpy as np
 from humanoid_mjx.config import parse
 from humanoid_mjx.config.axes import sweep_points
 from humanoid_mjx.files import SHOWN, lock, meant, refusing
-from humanoid_mjx.runs.folder import damaged, disk_used, pools, read_arrays, read_config, read_provenance
+from humanoid_mjx.runs.folder import THEN, damaged, disk_used, pools, read_arrays, read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
 from humanoid_mjx.runs.tables import all_runs, read_table, run_numbers
 from humanoid_mjx.spec import InputError
@@ -63,7 +63,8 @@ def list_runs(folder: Path) -> tuple[list[Listed], list[str]]:
         more = f" and {len(foreign) - SHOWN} more" if len(foreign) > SHOWN else ""
         kind = "no run folders (they hold" if len(foreign) > 1 else "this is no run folder (it holds"
         problems.append(f"{', '.join(map(str, foreign[:SHOWN]))}{more}: {kind} no config.yaml).")
-    for path in [path for path in inside if path not in foreign]:
+    own = [run for run in inside if run not in foreign]
+    for path in [each for run in own for each in (run, run / THEN) if each.is_dir()]:
         try:
             with refusing(path, "read"):
                 found.append(look_at(path))

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from humanoid_mjx.config import Config, load, parse
-from humanoid_mjx.runs.folder import RunFolder, read_config, run_path
+from humanoid_mjx.runs.folder import THEN, RunFolder, read_config, run_path
 from humanoid_mjx.runs.ranking import BEST_POINTS, ranked
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError, check_count
@@ -23,9 +23,6 @@ from humanoid_mjx.training.plan import Plan, make_plan
 from humanoid_mjx.training.progress import Reporter, reporting
 from humanoid_mjx.training.session import Session
 from humanoid_mjx.training.trackers import Tracker, Tracking
-
-THEN = "then"
-"""Folder in a run folder of the training that goes on from it."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from small_sweep import CONFIG, assert_same_tables, write_config
 from humanoid_mjx import InputError
 from humanoid_mjx.commands import slurm
 from humanoid_mjx.config import parse
+from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.training.sweep import Run, sweep
 
 FURTHER = {"task": {"goal": -15.0}, "learner": {"epsilon_decay": 0.9}, "episodes": 30}
@@ -70,6 +71,10 @@ def test_a_run_folder_that_stands_elsewhere_now_is_resumed(moved, tmp_path):
         ({"seeds": 3}, r"then.seeds: unknown key; what may change is task, learner, episodes, total_steps, record"),
         ({"learner": {"epsilon": 0.1}}, r"then.learner.epsilon: is an axis of the sweep; leave it out here or there"),
         ({"learner": 3}, r"then.learner.epsilon: is an axis of the sweep"),
+        (
+            {"learner": {"start_from": "runs/a"}},
+            r"then: goes on from the first training; leave learner.start_from out here and there",
+        ),
         ({"task": {"goal": -12.0}}, r"config: then: task: from -20 the goal -12 cannot be hit"),
         ({"task": {"gaol": 5.0}}, r"config: then: task.gaol: unknown key"),
         ({"task": {"states": 14}}, r"config: then: what it learns has another size than before"),
@@ -80,6 +85,24 @@ def test_what_cannot_be_is_said_before_anything_trains(then, words, tmp_path):
     with pytest.raises(InputError, match=words):
         sweep(CONFIG | {"then": then}, tmp_path / "run", quiet=True)
     assert not (tmp_path / "run").exists()
+
+
+def test_an_axis_of_runs_to_start_from_would_undo_it(moved):
+    axes = {"learner.start_from": [str(moved.path)]}
+    with pytest.raises(
+        InputError, match=r"then: goes on from the first training; leave learner.start_from out here and there"
+    ):
+        parse(MOVED | {"sweep": {"axes": axes}})
+
+
+def test_a_second_training_that_a_kill_ended_is_listed(moved, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(moved.path, run)
+    shutil.rmtree(run / "then" / "checkpoint")
+    (run / "then" / "provenance.json").unlink()
+    listed, _ = list_runs(tmp_path)
+    assert [(each.path, each.state) for each in listed] == [(run, "finished"), (run / "then", "interrupted")]
+    assert "run/then (small)" in told("runs", tmp_path)
 
 
 def test_the_command_tells_of_both_and_slurm_of_neither(tmp_path, monkeypatch):
