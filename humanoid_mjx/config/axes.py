@@ -102,8 +102,9 @@ def axis_values(name: str, axis: Axis) -> list:
     if kind == "logspace" and not (low > 0 and high > 0):
         raise InputError(f"sweep.axes.{name}: logspace needs ends above 0, got {shown(low)} and {shown(high)}.")
     values = (np.linspace if kind == "linspace" else np.geomspace)(low, high, count)
-    whole = isinstance(low, int) and isinstance(high, int) and (values % 1 == 0).all()  # for keys that take integers
-    return [int(v) if whole else float(v) for v in values]
+    near = np.rint(values)
+    whole = isinstance(low, int) and isinstance(high, int) and np.allclose(values, near, rtol=1e-12, atol=0)
+    return [int(v) for v in near] if whole else values.tolist()  # for keys that take integers
 
 
 def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:

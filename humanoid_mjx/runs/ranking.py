@@ -183,11 +183,12 @@ def _matters(grid: bool, axes: Mapping[str, np.ndarray], values: np.ndarray) -> 
         shares = {axis: statistics.importance_of_drawn(each.index, values) for axis, each in levels.items()}
     else:
         of = {axis: statistics.importance(each.index, values) for axis, each in levels.items()}
-        shares = {axis: statistics.estimate(share, -1.0, 1.0) for axis, share in of.items()}
         for one, other in combinations(axes, 2):
             pair = levels[one].index * len(levels[other].labels) + levels[other].index
-            together = statistics.importance(pair, values) - of[one] - of[other]
-            shares[f"{one} and {other}"] = statistics.estimate(together, -1.0, 1.0)
+            of[f"{one} and {other}"] = statistics.importance(pair, values) - of[one] - of[other]
+        shares = {name: statistics.estimate(share, -1.0, 1.0) for name, share in of.items()}
+        if values.shape[1] < 3:  # each of two seeds against the other gives the same share
+            shares = {name: share._replace(low=-1.0, high=1.0) for name, share in shares.items()}
     named = {" and ".join(x.rpartition(".")[2] for x in key.split(" and ")): each for key, each in shares.items()}
     return dict(sorted(named.items(), key=lambda each: -each[1].value))
 

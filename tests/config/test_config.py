@@ -258,6 +258,8 @@ def test_grid_is_every_combination_last_axis_fastest_and_zip_goes_side_by_side()
     assert [tuple(p.values()) for p in points] == [(0.1, 0.5), (0.2, 0.6)]
     points = sweep_of("grid", **{"learner.learning_rate": {"logspace": [0.01, 1, 3]}})
     np.testing.assert_allclose([p["learner.learning_rate"] for p in points], [0.01, 0.1, 1.0])
+    points = sweep_of("grid", **{"learner.agents": {"logspace": [1, 16, 5]}})
+    assert [p["learner.agents"] for p in points] == [1, 2, 4, 8, 16]
 
 
 def test_random_draws_stay_in_range_and_repeat():

@@ -5,7 +5,7 @@ import pytest
 from chapter_8_verdicts import above, holm
 from scipy import stats
 
-from humanoid_mjx.runs.ranking import best_table, compared, find_levels, in_words, ranked
+from humanoid_mjx.runs.ranking import _matters, best_table, compared, find_levels, in_words, ranked
 from humanoid_mjx.runs.statistics import (
     difference,
     estimate,
@@ -136,6 +136,15 @@ def test_effects_of_a_grid_are_those_of_the_analysis_of_variance():
     for name, variance in variances.items():
         assert of[name] == pytest.approx(variance / total, abs=0.02), name
     np.testing.assert_allclose(of_levels(index[0], values)[1], values[index[0] == 1].mean(axis=0))
+
+
+@pytest.mark.parametrize("seeds", [1, 2, 3, 5])
+def test_where_chance_alone_differs_no_parameter_matters(seeds):
+    """In 200 sweeps of a grid, but for a few that an interval may miss."""
+    rng, index = np.random.default_rng(6), np.indices((3, 4)).reshape(2, -1)
+    axes = dict(zip("ab", index, strict=True))
+    found = [_matters(True, axes, rng.normal(size=(12, seeds))).values() for _ in range(200)]
+    assert np.mean([[share.low > 0 for share in each] for each in found]) < 0.1
 
 
 def test_of_points_drawn_at_random_the_other_parameters_are_no_effect():
