@@ -5,6 +5,7 @@ import difflib
 import errno
 import hashlib
 import importlib
+import json
 import os
 import re
 import shlex
@@ -116,6 +117,12 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file, as a whole or not at all."""
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, data: Any, indent: int | None = None) -> None:
+    """Write plain values as JSON, which has no NaN and no infinity: null stands in their place."""
+    plain = json.loads(json.dumps(data), parse_constant=lambda _: None)
+    write_text(path, json.dumps(plain, indent=indent) + "\n")
 
 
 def write_sealed(path: Path, data: bytes, seal: bytes = b"") -> None:

@@ -1,7 +1,6 @@
 """The command `evaluate`."""
 
 from collections.abc import Sequence
-from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -35,7 +34,7 @@ def evaluate(
     """Evaluate policies on held-out episodes, beside a zero and a random agent."""
     from humanoid_mjx import compute
     from humanoid_mjx.evaluation.evaluate import HELD_OUT_WORDS
-    from humanoid_mjx.files import write_text
+    from humanoid_mjx.files import write_json
     from humanoid_mjx.spec import InputError, check_folder
 
     if unmodified and physics not in (None, "mujoco"):
@@ -49,7 +48,7 @@ def evaluate(
         found = (_gaits if gait else _successes)(policies, point, worlds, set_ or [], number)
     if json is not None:
         result = compute.made_by() | {"episodes": number, "held_out": HELD_OUT_WORDS, "physics": worlds[0]} | found
-        write_text(json, dumps(result, indent=None if gait else 2) + "\n")
+        write_json(json, result, indent=None if gait else 2)
         console.print(f"{json}", soft_wrap=True)
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Array
 from humanoid_mjx.control.laws import ServoLaw
 from humanoid_mjx.evaluation.onnx_graph import to_onnx
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy
-from humanoid_mjx.files import names, whole_file, write_text
+from humanoid_mjx.files import names, whole_file, write_json, write_text
 from humanoid_mjx.learners.approximate import ApproximateQ
 from humanoid_mjx.learners.linear import LinearQ
 from humanoid_mjx.learners.normalisation import MAX_DEVIATIONS, VARIANCE_FLOOR
@@ -66,7 +66,7 @@ def write_onnx(trained: StoredPolicy, file: Path) -> list[Path]:
 def write_contract(contract: dict[str, Any], file: Path) -> Path:
     """Write a contract beside the file of a policy, and return the JSON's path."""
     path = file.with_suffix(".json")
-    write_text(path, json.dumps(contract, indent=1) + "\n")
+    write_json(path, contract, indent=1)
     return path
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from humanoid_mjx import compute
 from humanoid_mjx.config import apply_override, check_overrides
-from humanoid_mjx.files import read_text, write_text
+from humanoid_mjx.files import read_text, write_json
 from humanoid_mjx.reproduction.findings import EXPERIMENTS, Experiment, Finding, Setting
 from humanoid_mjx.spec import InputError, known
 
@@ -74,7 +74,7 @@ def reproduce(
         runs[-1]["times"][experiment.name] = {"wall_s": round(wall_s, 2), "cpu_s": round(cpu_s, 2)}
         runs = [run for run in runs if run["times"]]
         for name, content in ((FINDINGS, findings), (RUNS, runs)):
-            write_text(out / name, json.dumps(content, indent=2) + "\n")
+            write_json(out / name, content, indent=2)
     return found_now
 
 

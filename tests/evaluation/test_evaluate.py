@@ -243,6 +243,15 @@ def test_commands(leg, tmp_path):
         assert low <= e["return"] <= high and e["steps"] == 3.0
 
 
+def test_a_return_that_is_no_number_is_null_in_json(leg, tmp_path, monkeypatch):
+    results = {"success": 0.0, "return": np.nan, "steps": 1.0, "discounted_return": np.inf}
+    episodes = {name: np.array([x]) for name, x in results.items()}
+    monkeypatch.setattr(evaluate, "evaluate_all", lambda *_: [estimated("leg", "greedy", episodes)])
+    told("evaluate", leg, "--json", tmp_path / "found.json")
+    (found,) = json.loads((tmp_path / "found.json").read_text(), parse_constant=pytest.fail)["evaluations"]
+    assert (found["return"], found["discounted_return"], found["steps"]) == (None, None, 1.0)
+
+
 def test_a_policy_is_shown_in_the_file_of_its_robot_beside_its_own_world(tmp_path):
     found = tmp_path / "found.json"
     short = "--set", "task.duration=0.1", "--episodes", 2, "--json", found
