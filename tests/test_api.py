@@ -259,6 +259,9 @@ WRONG = {
     "humanoid_mjx.play('stand', episode=-1)": "play: episode must be an integer of at least 0, got -1.",
     "humanoid_mjx.play('stand', episode=1.5)": "play: episode must be an integer of at least 0, got 1.5.",
     "humanoid_mjx.plot()": "plot: name a run folder.",
+    "humanoid_mjx.plot('runs/none', y=None)": "plot: a column is named by text such as 'steps', got None.",
+    "humanoid_mjx.plot('runs/none', by='')": "plot: a column is named by text such as 'steps', got ''.",
+    "policy.save('x.onnx')": "x.onnx: a policy file must end in .npz; humanoid-mjx export writes .onnx and .c from it.",
     "humanoid_mjx.plot('runs/none', out='x.jpg')": "--out x.jpg: the file must end in .png.",
     "humanoid_mjx.evaluate(None)": "a policy is named by a run folder, a policy file or a shipped name, got None.",
     "humanoid_mjx.sweep(None)": "sweep: config must be a config, its name or path, or a mapping of its keys, got None.",
@@ -270,6 +273,7 @@ WRONG = {
     "humanoid_mjx.sweep('maze', overrides='seeds=2')": 'overrides must be a list such as ["learner.epsilon=0.1"], got',
     "humanoid_mjx.evaluate('walk', overrides=[3])": 'an override must be a string such as "learner.epsilon=0.1", got',
     "humanoid_mjx.play(policy)": "moves no robot",
+    "TaskVectorEnv(task, 0)": "TaskVectorEnv: num_envs must be an integer of at least 1, got 0.",
     "TaskVectorEnv(task, 2, 'choice')": "actions must be choices or numbers, got 'choice'.",
 }
 PROGRAM = """

@@ -208,8 +208,10 @@ def save_policy(trained: StoredPolicy, path: Path) -> None:
     """Write a policy file.
 
     Raises:
-      InputError: there is no such folder, or it cannot be written.
+      InputError: it does not end in .npz, there is no such folder, or it cannot be written.
     """
+    if path.suffix != ".npz":
+        raise InputError(f"{path}: a policy file must end in .npz; humanoid-mjx export writes .onnx and .c from it.")
     check_folder(path)
     text = np.array(json.dumps({"format": FORMAT} | trained.as_json()))
     with refusing(path), whole_file(path) as temporary, temporary.open("wb") as file:

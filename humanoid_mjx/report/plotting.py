@@ -16,7 +16,7 @@ from humanoid_mjx.runs.curves import swept
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.ranking import MAX_LEVELS, Levels, find_levels, furthest, short
 from humanoid_mjx.runs.tables import column_names, read_table
-from humanoid_mjx.spec import InputError, check_folder, known
+from humanoid_mjx.spec import InputError, check_folder, known, shown
 
 RUN = "run"
 """The column that several runs are told apart by."""
@@ -148,6 +148,9 @@ def plot(paths: Sequence[Path], x: str | None, y: str, by: str | None, out: Path
     """
     if not paths:
         raise InputError("plot: name a run folder.")
+    given = [y, *(name for name in (x, by) if name is not None)]
+    if odd := [name for name in given if not (name and isinstance(name, str))]:
+        raise InputError(f"plot: a column is named by text such as 'steps', got {shown(odd[0])}.")
     if out is not None:
         films = FILMS if y == LEARNED else ()
         if out.suffix not in (".png", *films):

@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from jaxtyping import Array, Key
 
 from humanoid_mjx.compute import rng
-from humanoid_mjx.spec import InputError, shown
+from humanoid_mjx.spec import InputError, check_count, shown
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous, auto_reset
 from humanoid_mjx.tasks.finite import FiniteTask
@@ -51,6 +51,7 @@ class TaskVectorEnv(VectorEnv):
             raise InputError(f"an environment takes a FiniteTask or a ContinuousTask, got a {type(task).__name__}.")
         if actions not in (None, *get_args(Actions)):
             raise InputError(f"actions must be {' or '.join(get_args(Actions))}, got {shown(actions)}.")
+        check_count("TaskVectorEnv: num_envs", num_envs, 1)
         actions = actions or ("choices" if isinstance(task, FiniteTask) else "numbers")
         self._task, self.num_envs = as_continuous(jax.tree.map(jnp.asarray, task)), num_envs
         self._choices, self._goes_on, self._state = actions == "choices", True, None
@@ -91,7 +92,8 @@ class TaskVectorEnv(VectorEnv):
             given = given.reshape(self.num_envs, -1)
             fits = (given >= 0) & (given < bins) & (given % 1 == 0) if self._choices else np.isfinite(given)
         if not np.all(fits):
-            raise InputError(f"step: actions must be of {self.action_space}, got {shown(actions)}.")
+            space = self.action_space if self._goes_on else self.single_action_space
+            raise InputError(f"step: actions must be of {space}, got {shown(actions)}.")
         given = jnp.asarray(given, jnp.int32 if self._choices else jnp.float32)
         self._state = self._after(self._state, given, self._key())
         states = jax.device_get(self._state._replace(data=None))

@@ -98,3 +98,5 @@ def test_a_step_is_that_of_the_task():
         np.testing.assert_allclose(observation, state.obs, rtol=1e-6)
         assert (reward, terminated, truncated) == (float(state.reward), bool(state.terminated), bool(state.truncated))
         assert info["ahead"] == pytest.approx(float(state.metrics["ahead"]))
+    with pytest.raises(InputError, match=r"step: actions must be of Discrete\(2\), got 9"):
+        env.step(9)
