@@ -142,7 +142,7 @@ def environments(learner: Mapping[str, object]) -> int:
 def measure(trained: Run) -> Measured:
     """Rates and success of the only point of a sweep, from the tables of its run folder."""
     results, config = trained.results, trained.config
-    budget = float(config.budget or np.nan)
+    budget = float(config.episodes or config.total_steps or np.nan)
     wall_s = trained.timing["wall_s"].astype(float).reshape(config.seeds, -1)
     final, greedy = trained.summary["greedy_success"].astype(float), np.full(wall_s.shape, np.nan)
     greedy[:, -1] = final  # the only evaluation, where a learner has no other

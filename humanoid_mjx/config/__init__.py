@@ -71,11 +71,6 @@ class Config(pydantic.BaseModel):
         return self._source
 
     @property
-    def budget(self) -> int | None:
-        """Length of the training, in episodes or in control steps."""
-        return self.episodes if self.episodes is not None else self.total_steps
-
-    @property
     def alone(self) -> "Config":
         """The config without `then`."""
         return self.model_copy(update={"then": None})

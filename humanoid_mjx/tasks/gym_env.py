@@ -92,8 +92,7 @@ class TaskVectorEnv(VectorEnv):
             given = given.reshape(self.num_envs, -1)
             fits = (given >= 0) & (given < bins) & (given % 1 == 0) if self._choices else np.isfinite(given)
         if not np.all(fits):
-            space = self.action_space if self._goes_on else self.single_action_space
-            raise InputError(f"step: actions must be of {space}, got {shown(actions)}.")
+            raise InputError(f"step: each action must be of {self.single_action_space}, got {shown(actions)}.")
         given = jnp.asarray(given, jnp.int32 if self._choices else jnp.float32)
         self._state = self._after(self._state, given, self._key())
         states = jax.device_get(self._state._replace(data=None))

@@ -102,7 +102,7 @@ def test_subjects_finish_as_many_episodes(monkeypatch):
 def stored(*success):
     """A run folder of two seeds side by side, four record points each, the first two passed at the first look."""
     held = {
-        "config": SimpleNamespace(budget=4000, seeds=2),
+        "config": SimpleNamespace(episodes=None, total_steps=4000, seeds=2),
         "timing": {"wall_s": np.array([5.0, 5.0, 7.0, 9.0] * 2, np.float32)},
         "results": {"steps": np.array([20.0, np.nan, 30.0, 40.0, 20.0, 30.0, np.nan, 40.0])},
         "summary": {"greedy_success": np.array([0.9, 0.97])},

@@ -81,7 +81,7 @@ def test_what_is_no_action_gets_a_sentence(kind, actions):
     with pytest.raises(InputError, match="step: call reset first"):
         env.step([0, 0])
     env.reset(seed=0)
-    with pytest.raises(InputError, match="step: actions must be of"):
+    with pytest.raises(InputError, match="step: each action must be of"):
         env.step(actions)
     env.step([0, 1])
 
@@ -98,5 +98,5 @@ def test_a_step_is_that_of_the_task():
         np.testing.assert_allclose(observation, state.obs, rtol=1e-6)
         assert (reward, terminated, truncated) == (float(state.reward), bool(state.terminated), bool(state.truncated))
         assert info["ahead"] == pytest.approx(float(state.metrics["ahead"]))
-    with pytest.raises(InputError, match=r"step: actions must be of Discrete\(2\), got 9"):
+    with pytest.raises(InputError, match=r"step: each action must be of Discrete\(2\), got 9"):
         env.step(9)
