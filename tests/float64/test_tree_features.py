@@ -87,6 +87,22 @@ def test_shapes_on_a_plane_are_mujocos():
     agrees(SHAPES, count=500)
 
 
+def test_a_cylinder_that_stands_is_mujocos():
+    """On one point of a rim and on three, level and leaning, either end down."""
+    xml = """<mujoco><worldbody><geom type="plane" size="0 0 1"/>
+    <body><freejoint/><geom type="cylinder" size="0.05 0.03" mass="1"/></body></worldbody></mujoco>"""
+    model, rng, counts = converged(mujoco.MjModel.from_xml_string(xml)), np.random.default_rng(0), Counter[int]()
+    qpos, data = np.tile(model.qpos0, (100, 1)), mujoco.MjData(model)
+    qpos[:, 2], qpos[::2, 3:5] = 0.028, (0.0, 1.0)
+    qpos[:90, 3:7] += rng.choice([0.01, 0.1], (90, 1)) * rng.normal(size=(90, 4))
+    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+    for data.qpos in qpos:
+        mujoco.mj_forward(model, data)
+        counts[data.ncon] += 1
+    assert min(counts[1], counts[3]) > 30, counts
+    agree(model, (qpos, rng.normal(size=(100, model.nv)), np.zeros((100, 0))))
+
+
 def test_boxes_that_touch_each_other_are_mujocos():
     """Two boxes that fold onto each other and onto a fixed one: with friction, without."""
     xml = """<mujoco><worldbody><geom name="wall" type="box" size="0.05 0.1 0.02" margin="0.001"/>

@@ -244,7 +244,7 @@ def ground_center(points: st.GroundPoints, kinematics: Kinematics, laned: bool) 
     if shape.which == "opposite":
         return middle - half + down
     across = (0.75**0.5 if shape.which == "left" else -(0.75**0.5)) * cross(down, axis)
-    return middle + half - (across - 0.5 * down)
+    return middle + half + across - 0.5 * down
 
 
 def _downwards(way: Any, normal: Any) -> Any:
