@@ -8,6 +8,7 @@ import pytest
 from tree_robots import HOPPER, near_upright
 
 from humanoid_mjx.mechanics.tree.reading import read_tree
+from humanoid_mjx.mechanics.tree.refusing import faults
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.spec import InputError
 
@@ -59,6 +60,21 @@ def test_joints_that_are_refused(words):
     assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco or mjx-jax."
     if "spring" in words:
         read_tree(mujoco.MjModel.from_xml_string(xml.format('<option><flag spring="disable"/></option>')))
+
+
+def test_a_body_without_joints_is_refused_where_its_turns_are_implicit():
+    """MuJoCo's `implicitfast` derives gyroscopic torques of a body that is free alone, and of no other."""
+    xml = """<mujoco><option integrator="{}"/><worldbody><body><freejoint/><geom type="box" size=".1 .05 .02"/>
+    <body>{}<geom size=".01"/></body></body></worldbody></mujoco>"""
+    for joint, alone in (("", True), ("<joint/>", False)):
+        turns = []
+        for integrator in ("Euler", "implicitfast"):
+            model = mujoco.MjModel.from_xml_string(xml.format(integrator, joint))
+            data = mujoco.MjData(model)
+            data.qvel[3:6] = 3, 2, 1
+            mujoco.mj_step(model, data)
+            turns.append(data.qvel)
+        assert (np.abs(turns[0] - turns[1]).max() > 1e-5) == alone == bool(faults(model))
 
 
 ROUND = 'size=".1 .1"'

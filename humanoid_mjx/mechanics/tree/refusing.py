@@ -161,6 +161,8 @@ def _of_structure(m: mujoco.MjModel, sensing: bool) -> Iterator[Check]:
         yield uneven, "damping, armature or friction that differs along a free joint", "one value of each"
         sprung = m.jnt_stiffness[free[0]] and not option.disableflags & int(FLAGS.mjDSBL_SPRING)
         yield sprung, "a spring of a free joint", "a <freejoint/> without a class"
+        alone = m.nv == 6 and option.integrator == integrators.mjINT_IMPLICITFAST
+        yield alone, "the implicitfast integrator of a free body without joints", 'integrator="Euler"'
 
 
 def _of_contacts(m: mujoco.MjModel) -> Iterator[Check]:
