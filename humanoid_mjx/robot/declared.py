@@ -37,7 +37,7 @@ from humanoid_mjx.robot.description import (
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
 from humanoid_mjx.robot.motors import driven, motors_on, own_drives, setpoint_limits
-from humanoid_mjx.robot.touching import add_ground, balls_of, has_plane, soles_of, strip
+from humanoid_mjx.robot.touching import add_ground, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 OWN = re.compile(r"(package_)?ground|package_imu|.*_point\d+(_contact)?")
@@ -153,7 +153,9 @@ class Declared(Robot):
 
     def in_file(self) -> tuple[mujoco.MjSpec, str]:
         source, spec, model = self._upright()
-        if not has_plane(model):
+        felt = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
+        felt |= (model.geom_contype | model.geom_conaffinity) != 0
+        if not (felt & (model.geom_type == GEOM.mjGEOM_PLANE)).any():
             add_ground(spec, model, soles_of(model, self.feet, self.ground_geoms))
         for sensor in spec.sensors:
             spec.delete(sensor)

@@ -9,7 +9,7 @@ import numpy as np
 
 from humanoid_mjx.robot.description import Robot
 from humanoid_mjx.robot.motors import BIAS, ON_JOINTS, acting, bounds, gains, motor_limits, motors_on
-from humanoid_mjx.robot.touching import FLAGS, Touching, has_plane, kind_of, named, soles_of, touching, word
+from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, soles_of, touching, word
 
 HEADINGS = "differs from the MJCF", "in the file", "here"
 ENUMS = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": mujoco.mjtSolver}
@@ -42,10 +42,6 @@ def differences(
         rows += [("", f"option {name}", *words)] if words[0] != words[1] else []
     kept = {sole.two for sole in soles if sole.one >= 0}
     rows += [*_of_contacts(file, pairs, kept, robot.contacts == "feet"), *_of_actuators(file, here, robot.servo)]
-    masks, moving = file.geom_contype | file.geom_conaffinity, file.body_weldid[file.geom_bodyid] != 0
-    for geom in np.flatnonzero((masks != 0) & moving).tolist() if not has_plane(file) else ():
-        if geom not in [sole.two for sole in soles]:
-            rows.append((named(file, geom), "ground of", "the plane z = 0 that --unmodified adds", "none"))
     if turn[0] != 1.0:
         angle = 2 * np.degrees(np.arccos(min(abs(turn[0]), 1.0)))
         rows.append((file.body(1).name, "frame of", f"turned by {angle:.3g} degrees at home", "upright at home"))

@@ -239,13 +239,6 @@ def strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
     option.disableflags &= ~int(off.mjDSBL_CONTACT | off.mjDSBL_ACTUATION | off.mjDSBL_CONSTRAINT)
 
 
-def has_plane(model: mujoco.MjModel) -> bool:
-    """True if the file has a plane that anything can touch."""
-    felt = np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
-    felt |= (model.geom_contype | model.geom_conaffinity) != 0
-    return bool((felt & (model.geom_type == GEOM.mjGEOM_PLANE)).any())
-
-
 def add_ground(spec: mujoco.MjSpec, model: mujoco.MjModel, soles: Sequence[Touching]) -> None:
     """Add a plane z = 0 to a file without one. All that can touch anything touches it, and the soles, which rub on it
     whatever their condim; its own contact parameters count nothing."""
