@@ -36,7 +36,7 @@ from humanoid_mjx.robot.description import (
 )
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
-from humanoid_mjx.robot.motors import driven, motors_on, own_drives, setpoint_limits
+from humanoid_mjx.robot.motors import ON_JOINTS, driven, own_drives, setpoint_limits
 from humanoid_mjx.robot.touching import add_ground, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
@@ -177,10 +177,14 @@ class Declared(Robot):
         data = mujoco.MjData(model)
         for joint, angle in zip(source.joints, np.radians(self.home or [0.0] * len(source.joints)), strict=True):
             data.qpos[model.joint(joint).qposadr[0]] = angle
-            for motor in motors_on(model, model.joint(joint).id):
-                squared, hinge = model.actuator_gear[motor, 0] ** 2, spec.joint(joint)
-                hinge.armature += squared * model.actuator_armature[motor]
-                hinge.damping[0] += squared * model.actuator_damping[motor]
+        for motor in np.flatnonzero(np.isin(model.actuator_trntype, ON_JOINTS)):
+            row, squared = model.actuator_trnid[motor, 0], model.actuator_gear[motor, 0] ** 2
+            joint, dof = spec.joint(model.joint(row).name), model.jnt_dofadr[row]
+            if any(joint.springdamper):  # the compiler would put its own damping in the place of any other
+                joint.stiffness[0], joint.damping[0] = model.jnt_stiffness[row], model.dof_damping[dof]
+                joint.springdamper = 0, 0
+            joint.armature += squared * model.actuator_armature[motor]
+            joint.damping[0] += squared * model.actuator_damping[motor]
         mujoco.mj_kinematics(model, data)
         balls = [
             (spec.body(model.body(model.geom_bodyid[contact.two]).name), contact, *ball)

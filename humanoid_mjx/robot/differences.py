@@ -104,7 +104,9 @@ def _of_actuators(file: mujoco.MjModel, here: mujoco.MjModel, servo: Any) -> Ite
         found = " + ".join(_of_motor(file, motor) for motor in motors_on(file, file.joint(name).id)) or "none"
         if found != motor:
             yield name, "actuator of", found, "{}, servo of {:g} N m/rad, {:g} N m s/rad".format(motor, *gain)
-    for motor in np.flatnonzero(~np.isin(file.actuator_trntype, ON_JOINTS)).tolist():
+    driven = [file.joint(here.joint(int(joint)).name).id for joint in here.actuator_trnid[:, 0]]
+    kept = np.isin(file.actuator_trntype, ON_JOINTS) & np.isin(file.actuator_trnid[:, 0], driven)
+    for motor in np.flatnonzero(~kept).tolist():
         kind = word(mujoco.mjtTrn, file.actuator_trntype[motor])
         yield repr(file.actuator(motor).name or motor), "actuator", f"drives a {kind}", "none"
 

@@ -135,6 +135,10 @@ SAME = {
     "wall out of reach": [world('<geom type="box" size="1 1 .05" contype="4" conaffinity="4"/>')],
     "impratio": [("<option", '<option impratio="5"')],
     "armature of motors": [motors('<motor J armature=".02" damping=".3" gear="2"/>')],
+    "springdamper beside motors": [
+        ("<default/>", '<default><joint springdamper=".1 1"/></default>'),
+        motors('<motor J armature=".02" damping=".3" gear="2"/>'),
+    ],
     "flag": [("<option ", '<option><flag eulerdamp="disable"/></option><option ')],
 }
 
@@ -145,6 +149,15 @@ def test_feet_slide_as_in_the_unmodified_file(case, tmp_path):
     assert apart(robot, tmp_path) < 1e-4
     # All that is named does not concern the slide: contacts of other parts, and the drive.
     assert {name.split()[0] for name in named(robot)} <= {"contact", "actuator"}
+
+
+def test_a_motor_that_is_disabled_weighs_and_damps_on(tmp_path):
+    """It drives its joint no longer, which then has no motor here."""
+    elements, text = motors('<motor J ctrlrange="-20 20" armature=".2" damping=".5"/>')
+    text = text.replace("joint='hip_0_0'", "joint='hip_0_0' name='lame' group='2'")
+    robot = robot_of(tmp_path, (elements, text), ("<option", '<option actuatorgroupdisable="2"'))
+    assert len(robot.joints) == 7 and apart(robot, tmp_path) < 1e-4
+    assert named(robot)["actuator 'lame'"][1:] == ("drives a joint", "none")
 
 
 NO_CONTACT = '<option><flag contact="disable"/></option>'
