@@ -250,8 +250,9 @@ def set_upright(spec: mujoco.MjSpec, turn: Quat) -> None:
     if turn[0] == 1.0:
         return
     trunk, given = spec.worldbody.first_body(), mujoco.mjtOrientation.mjORIENTATION_QUAT
-    if held := [e.name for e in spec.equalities if trunk.name in (e.name1, e.name2)]:
-        raise InputError(f"model: {trunk.name!r} is turned, and the equality {held[0]!r} holds it by its frame")
+    bodies = (e for e in spec.equalities if e.objtype == mujoco.mjtObj.mjOBJ_BODY)
+    if any(trunk.name in (e.name1, e.name2) for e in bodies):
+        raise InputError(f"model: {trunk.name!r} is turned, and an <equality> holds it by its frame; take sites for it")
     model = checked(spec.compile)[0]
     parts = *trunk.geoms, *trunk.sites, *trunk.bodies, *trunk.cameras, *trunk.lights, *trunk.frames
     frame = trunk.add_frame(quat=turn)

@@ -2,6 +2,7 @@
 """A robot of a YAML moves as its MJCF does in native MuJoCo, or what differs is refused or named."""
 
 import ast
+from contextlib import nullcontext
 from pathlib import Path
 
 import jax
@@ -530,6 +531,16 @@ def test_an_inertia_turns_with_its_frame(tmp_path):
         axes = data.ximat.reshape(-1, 3, 3)
         moments.append(np.einsum("bij,bj,bkj->bik", axes, model.body_inertia, axes))
     np.testing.assert_allclose(*moments, atol=1e-9)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_an_equality_that_holds_a_turned_trunk_by_its_frame_is_refused(held, tmp_path):
+    """One of a joint that has the trunk's name does not."""
+    joint = '<freejoint/><body><joint name="trunk"/><geom size=".05"/></body>'
+    held_by = '<connect body1="trunk" anchor="0 0 0"/>' if held else '<joint joint1="trunk"/>'
+    equality = "</mujoco>", f"<equality>{held_by}</equality></mujoco>"
+    with pytest.raises(InputError, match="and an <equality> holds it by its frame") if held else nullcontext():
+        robot_of(tmp_path, *turned("90 0 0"), equality, ("<freejoint/>", joint))
 
 
 def test_a_turned_trunk_starts_on_its_feet_and_sees_the_same(tmp_path):
