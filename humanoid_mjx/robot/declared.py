@@ -326,7 +326,8 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
         torque = _by_joint("torque", declared.torque, joints, torque)
         if wrong := [joint for joint, limit in zip(joints, torque, strict=True) if not 0 < limit < inf]:
             lacks = "the model has no limit" if torque[joints.index(wrong[0])] else "the limit is 0"
-            raise InputError(f"torque: {lacks} for {wrong[0]}; write its N m as torque: {{{wrong[0]}: 20}}")
+            example = f"{{{mjcf.pattern(wrong[:1])}: 20}}"
+            raise InputError(f"torque: {lacks} for {wrong[0]}; write its N m as torque: {example}")
         servo, stiffness = declared.servo, np.where(np.isnan(stiffness), torque, stiffness)
         stiffness = _by_joint("servo.stiffness", servo.stiffness, joints, stiffness)
         damping = np.where(np.isnan(damping) | (servo.stiffness is not None), DAMPING * stiffness, damping)

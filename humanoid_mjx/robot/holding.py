@@ -7,6 +7,7 @@ from jaxtyping import Float
 from scipy.linalg import eigh, null_space
 
 from humanoid_mjx.robot.description import Robot, ground_points, two_digits
+from humanoid_mjx.robot.mjcf import pattern
 
 SAG_DEG, SAGGED_DEG = 10.0, 5.0
 """Sag of a joint, degrees, above which gains are called too soft, and that of the gains that are named instead."""
@@ -111,7 +112,7 @@ def in_words(robot: Robot) -> list[str]:
     damped = np.maximum(RATIO * critical * np.sqrt(needed + spring) - own, damping)
     groups = [robot.kinds == kind for kind in np.unique(robot.kinds[(sag > SAG_DEG) | (ratio < LEAST_RATIO)])]
     gains = (
-        ", ".join(f"{'|'.join(names[group])}: {two_digits(1.05 * values[group].max()):g}" for group in groups)
+        ", ".join(f"{pattern(names[group])}: {two_digits(1.05 * values[group].max()):g}" for group in groups)
         for values in (needed, damped)  # to two digits, upwards
     )
     better = "stiffness: {{{}}}, damping: {{{}}}".format(*gains)

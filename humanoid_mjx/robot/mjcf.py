@@ -6,7 +6,7 @@ import importlib.util
 import json
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -171,6 +171,11 @@ def element(m: mujoco.MjModel, kind: str, row: int) -> str:
     if not name and kind == "actuator" and m.actuator_trntype[row] == mujoco.mjtTrn.mjTRN_JOINT:
         return f"{words} {row} of {element(m, 'jnt', int(m.actuator_trnid[row, 0]))}"
     return f"{words} {name!r}" if name else f"{words} {row}"
+
+
+def pattern(names: Iterable[str]) -> str:
+    """A regular expression of these names, as a YAML holds it."""
+    return json.dumps("|".join(map(re.escape, names)))
 
 
 def content_of(data: Mapping[str, Any], file: Path) -> str:

@@ -70,7 +70,7 @@ TYPED = {
     "sweep stand --set task.robot=three.xml": "unknown robot 'three.xml', but three.yaml is one",
     "sweep stand --set task.robot=lonely.xml": "it is an MJCF: humanoid-mjx info lonely.xml",
     "sweep stand --set task.robot=thre.yaml": ", but three.yaml is one",
-    "sweep stand --set task.robot=three.yaml": "no limit for a_swing; write its N m as torque: {a_swing: 20}",
+    "sweep stand --set task.robot=three.yaml": 'no limit for a_swing; write its N m as torque: {"a_swing": 20}',
     "sweep joint4 --set learner.start_from=joint1": ", but runs/joint1 is one",
     "play joint1": "neither a run folder nor a policy, but runs/joint1 is one",
     "evaluate joint1": "neither a run folder nor a policy, but runs/joint1 is one",

@@ -184,3 +184,16 @@ def test_gains_that_cannot_hold_a_robot_are_said_with_those_that_do(tmp_path):
     assert float(re.search(r"by (\S+) degrees", better)[1]) <= 5 and float(re.search(r"ratio (\S+),", better)[1]) >= 0.5
     weak = in_words(make_robot(written(tmp_path, torque=0.5)))
     assert weak[1].startswith("no gains hold it")
+
+
+def test_gains_that_are_said_name_joints_of_any_name(tmp_path):
+    """What is a sign of regular expressions or of YAML in a name stands for itself."""
+
+    def robot(servo):
+        path = Path(written(tmp_path, servo=servo, home={"hip.*": 35, ".*ee.*": -70}))
+        text = (tmp_path / "robot.xml").read_text()
+        (tmp_path / "robot.xml").write_text(text.replace("knee", "k[(n]ee: +"))
+        return make_robot(str(path))
+
+    soft = in_words(robot({"stiffness": 8, "damping": 0.01}))[1]
+    assert robot(yaml.safe_load(soft.split("take servo: ")[1])).stiffness[1] > 8
