@@ -41,7 +41,7 @@ from humanoid_mjx.robot.touching import add_ground, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
 OWN = re.compile(r"(package_)?ground|package_imu|.*_point\d+(_contact)?")
-"""Names of geoms and sites that the package adds."""
+"""Names of geoms, sites and pairs that the package adds."""
 
 DAMPING = 0.03
 """Servo damping by stiffness where a description gives none, s."""
@@ -363,7 +363,7 @@ def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[Difference]]:
     what = f"model: {Path(file).name} is no MJCF that MuJoCo takes"
     (spec, missing), noted = mjcf.checked(lambda: mjcf.read_spec(file), what)
     mjcf.name_bodies(spec)
-    ours = (part.name for part in (*spec.geoms, *spec.sites) if OWN.fullmatch(part.name))
+    ours = (part.name for part in (*spec.geoms, *spec.sites, *spec.pairs) if OWN.fullmatch(part.name))
     if taken := [name for name in ours if (plane := spec.geom(name)) is None or plane.type != GEOM.mjGEOM_PLANE]:
         raise InputError(f"model: the package adds an element of the name {taken[0]!r}; rename that of the MJCF")
     model, warned = mjcf.checked(spec.compile, what)

@@ -234,6 +234,8 @@ def test_ground_that_is_no_level_plane_is_refused(pairs, words, tmp_path):
     [
         ([world('<geom name="ground" type="box" size=".1 .1 .1" pos="0 0 9" contype="0" conaffinity="0"/>')], YAML,
          "robot.yaml: model: the package adds an element of the name 'ground'; rename that of the MJCF"),
+        ([contact('<pair name="calf_FOOT_point0" geom1="trunk" geom2="foot_FOOT"/>')], f"{YAML}contacts: model",
+         "the package adds an element of the name 'calf_0_0_point0'; rename"),
         ([("</worldbody>", '</worldbody><contact><pair geom1="floor" geom2="foot_0_0"/><pair geom1="foot_0_0" '
            'geom2="floor" friction="2 2 0 0 0"/></contact>')], YAML, "two <pair> are of 'floor' and 'foot_0_0'; keep"),
         ([('type="sphere" size=".02"', 'type="ellipsoid" size=".02 .02 .02"')], YAML, "calf_0_0 has an ellipsoid"),
