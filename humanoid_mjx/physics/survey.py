@@ -12,7 +12,7 @@ from humanoid_mjx.files import meant, read_text, refuse_pipe
 from humanoid_mjx.mechanics.tree.refusing import faults, robot_faults, sensors_of
 from humanoid_mjx.robot.declared import bad_timestep
 from humanoid_mjx.robot.description import IMU
-from humanoid_mjx.robot.mjcf import checked, files_of, is_xml, place_of, read_spec
+from humanoid_mjx.robot.mjcf import GRAVITY, checked, falls, files_of, is_xml, place_of, read_spec
 from humanoid_mjx.robot.motors import motors_on
 from humanoid_mjx.robot.touching import kind_of, pairs_of, word
 from humanoid_mjx.spec import InputError
@@ -49,6 +49,7 @@ def survey(path: str) -> tuple[list[str], bool]:
     joints = list(_joints(model))
     named = all(model.joint(joint).name for joint in np.flatnonzero(model.jnt_type == JOINT.mjJNT_HINGE).tolist())
     needs = {"one body with a <freejoint/>": free == 1, "hinges that have names": hinges and named}
+    needs[GRAVITY] = falls(model)
     rows = [
         ("mass", f"{model.body_mass.sum():.4g} kg in {model.nbody - 1} bodies, {'a free' if free else 'no free'} base"),
         ("joints", f"{len(joints)}, {len(model.actuator_trntype)} actuators, {model.nv} degrees of freedom"),

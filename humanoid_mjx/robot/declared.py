@@ -377,6 +377,8 @@ def _load(file: str) -> tuple[mujoco.MjSpec, mujoco.MjModel, list[Difference]]:
         raise InputError(f"model: {fault}")
     for what, _ in mjcf.no_numbers(model):
         raise InputError(f"model: {what} must be {mjcf.A_NUMBER}")
+    if not mjcf.falls(model):
+        raise InputError(f"model: no gravity pulls down in {Path(file).name}; write {mjcf.GRAVITY}")
     if any("NaN" in words for words in noted):  # MuJoCo takes a mass of NaN for none
         raise InputError(f"model: {Path(file).name} holds a NaN; write a number in its place")
     notes = [Difference("MuJoCo warns", words, "") for words in dict.fromkeys((*noted, *warned))]

@@ -129,6 +129,15 @@ def name_bodies(spec: mujoco.MjSpec) -> None:
             taken.add(body.name)
 
 
+GRAVITY = '<option gravity="0 0 -9.81"/>'
+"""What a robot that stands needs."""
+
+
+def falls(model: mujoco.MjModel) -> bool:
+    """Return whether gravity pulls down."""
+    return bool(model.opt.gravity[2] < 0 and not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+
+
 ELEMENTS = {"body", "jnt", "dof", "geom", "pair", "actuator", "tendon"}
 FOLLOW = re.compile(r".*(invweight0|subtreemass|_M0|rbound|aabb|_acc0|length0|lengthrange)$")
 """Fields of a model that the compiler computes from others."""

@@ -239,6 +239,8 @@ def test_ground_that_is_no_level_plane_is_refused(pairs, words, tmp_path):
         ([("</worldbody>", '</worldbody><contact><pair geom1="floor" geom2="foot_0_0"/><pair geom1="foot_0_0" '
            'geom2="floor" friction="2 2 0 0 0"/></contact>')], YAML, "two <pair> are of 'floor' and 'foot_0_0'; keep"),
         ([('type="sphere" size=".02"', 'type="ellipsoid" size=".02 .02 .02"')], YAML, "calf_0_0 has an ellipsoid"),
+        ([("<option", '<option gravity="0 0 0"')], YAML, "model: no gravity pulls down in base.xml; write <option gra"),
+        ([("<mujoco>", f"<mujoco>{NO_CONTACT.replace('contact', 'gravity')}")], YAML, "no gravity pulls down in base"),
         ([], YAML.replace("base.xml", '"a\\0b"'), "model must be the path of an MJCF, got 'a.x00b'"),
         ([], YAML.replace("base.xml", "."), "model must be the path of an MJCF, got '.'"),
         ([], YAML.replace("]", ", foot_0_0]"), "feet: 'foot_0_0' stands there twice"),
