@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 
 from humanoid_mjx.robot.description import Robot
+from humanoid_mjx.robot.mjcf import checked
 from humanoid_mjx.robot.motors import BIAS, ON_JOINTS, acting, bounds, gains, motor_limits, motors_on
-from humanoid_mjx.robot.touching import FLAGS, Touching, kind_of, named, soles_of, touching, word
+from humanoid_mjx.robot.touching import FLAGS, GROUND, Touching, kind_of, named, soles_of, touching, word
 
 HEADINGS = "differs from the MJCF", "in the file", "here"
 ENUMS = {"cone": mujoco.mjtCone, "integrator": mujoco.mjtIntegrator, "solver": mujoco.mjtSolver}
@@ -40,8 +41,9 @@ def differences(
     for name in sorted(name for name in dir(file.opt) if not name.startswith("_")):
         words = [_option(name, np.ravel(getattr(model.opt, name))) for model in (file, here)]
         rows += [("", f"option {name}", *words)] if words[0] != words[1] else []
-    kept = {sole.two for sole in soles if sole.one >= 0}
-    rows += [*_of_contacts(file, pairs, kept, robot.contacts == "feet"), *_of_actuators(file, here, robot.servo)]
+    judge = checked(robot.in_file()[0].compile)[0]  # with a ground, where the file has none
+    kept = {sole.two for sole in soles_of(judge, robot.feet, robot.ground_geoms) if sole.one >= 0}
+    rows += [*_of_contacts(judge, kept, robot.contacts == "feet"), *_of_actuators(file, here, robot.servo)]
     if turn[0] != 1.0:
         angle = 2 * np.degrees(np.arccos(min(abs(turn[0]), 1.0)))
         rows.append((file.body(1).name, "frame of", f"turned by {angle:.3g} degrees at home", "upright at home"))
@@ -89,13 +91,15 @@ def _of_sole(file: mujoco.MjModel, contact: Touching, pairs: Sequence[Touching])
         yield name, "adhesion or surfacevel of", "set", "none"
 
 
-def _of_contacts(file: mujoco.MjModel, pairs: Sequence[Touching], kept: set[int], feet_only: bool) -> Iterator[Row]:
+def _of_contacts(file: mujoco.MjModel, kept: set[int], feet_only: bool) -> Iterator[Row]:
     """Contacts that go: with `feet_only` all but those of the feet with the ground, else those with the world."""
-    for pair in pairs:
+    for pair in touching(file):
         both = [pair.one, pair.two]
         static = (file.body_weldid[file.geom_bodyid[both]] == 0).any()
         if (static and not kept.intersection(both)) or (feet_only and not static):
-            yield " and ".join(named(file, geom) for geom in both), "contact of", "as the model says", "none"
+            names = [named(file, geom) for geom in both]
+            says = "on the ground that --unmodified adds" if repr(GROUND) in names else "as the model says"
+            yield " and ".join(names), "contact of", says, "none"
 
 
 def _of_actuators(file: mujoco.MjModel, here: mujoco.MjModel, servo: Any) -> Iterator[Row]:

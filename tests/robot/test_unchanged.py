@@ -344,6 +344,20 @@ def test_bodies_keep_their_contacts_but_not_with_the_ground(tmp_path):
     assert lost.name == "contact of 'floor' and 'trunk'"
 
 
+def test_what_would_touch_the_ground_of_the_judge_is_named(tmp_path):
+    """The trunk of a file without a plane, which falls through the ground here."""
+    robot = robot_of(tmp_path, ('<geom name="floor"', '<geom name="floor" contype="0" conaffinity="0"'))
+    rest = []
+    for model in (robot.in_file()[0].compile(), robot.model):
+        data = mujoco.MjData(model)
+        data.qpos[2], data.qpos[3:5] = 0.1, (0, 1)
+        mujoco.mj_step(model, data, 200)
+        rest.append(data.qpos[2])
+    assert rest[0] > 0.04 > rest[1]
+    (row,) = [row for row in robot.differences() if "--unmodified" in row.in_file]
+    assert row.name == "contact of 'package_ground' and 'trunk'" and row.here == "none"
+
+
 def test_masses_joints_and_options_are_those_of_the_file(tmp_path):
     robot = robot_of(tmp_path, ("<option", '<compiler settotalmass="12"/><option density="3" gravity="0 0 -5"'))
     own = mujoco.MjModel.from_xml_path(str(tmp_path / "base.xml"))
