@@ -56,8 +56,8 @@ def touching(m: mujoco.MjModel) -> list[Touching]:
 def pairs_of(m: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """The explicit pairs of shapes that may touch, and the geoms of these and of all others, (2, pairs).
 
-    The others are those by `contype` and `conaffinity` less those of one body, of parent and child, and those that are
-    excluded. There are none where the model's contacts are disabled.
+    The others are those by `contype` and `conaffinity` less those of parent and child and those that are excluded. None
+    are of one body, where they move nothing. There are none where the model's contacts are disabled.
     """
     if m.opt.disableflags & NO_CONTACTS:
         return np.zeros(0, int), np.zeros((2, 0), int)
@@ -75,7 +75,7 @@ def pairs_of(m: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.sort(body[others], axis=0)
     left_out = np.isin((low << 16) + high, m.exclude_signature)
     left_out |= np.isin(m.ngeom * others[0] + others[1], m.ngeom * listed.min(axis=0) + listed.max(axis=0))
-    own = np.flatnonzero(weld[listed].any(axis=0))
+    own = np.flatnonzero(weld[listed[0]] != weld[listed[1]])
     geoms = np.concatenate([listed[:, own], others[:, ~left_out]], axis=1)
     return own, np.where(m.geom_type[geoms[0]] <= m.geom_type[geoms[1]], geoms, geoms[::-1])
 

@@ -47,6 +47,13 @@ def agree(model, at):
         np.testing.assert_allclose(qpos[i], data.qpos, rtol=0.0, atol=atol)
 
 
+def test_a_pair_of_one_body_moves_nothing():
+    """Two balls that overlap, one of them on a body without a joint."""
+    balls = '<geom name="one" size="0.05"/><body pos="0.02 0 0"><geom name="two" size="0.05"/></body>'
+    xml = HINGED.format(option="").replace("<freejoint/>", f"<freejoint/>{balls}")
+    agrees(xml.replace("</mujoco>", '<contact><pair geom1="one" geom2="two"/></contact></mujoco>'), count=20)
+
+
 LEAVES, STICKS, SLIDES = (
     getattr(mujoco.mjtConstraintState, f"mjCNSTRSTATE_{name}") for name in ("SATISFIED", "QUADRATIC", "CONE")
 )
