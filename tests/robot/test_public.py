@@ -105,7 +105,7 @@ def test_the_plane_of_a_scene_is_the_ground(tmp_path):
     plane = '<geom type="plane" size="5 5 .1" friction=".7"/>'
     robots = [make_robot(written(tmp_path, scene=scene)) for scene in (plane, plane.replace(".7", ".3"))]
     assert [robot.model.pair_friction[0, 0] for robot in robots] == [0.7, 0.4]
-    bare, added = make_robot(written(tmp_path)), "the plane z = 0 that --unmodified adds"
+    bare, added = make_robot(written(tmp_path)), "on the ground that --unmodified adds"
     rows = {row.in_file: row.name for row in bare.differences()}
     assert "ground of 'foot_0_0' and 3 more" in rows.values()
     model = bare.in_file()[0].compile()
@@ -113,7 +113,7 @@ def test_the_plane_of_a_scene_is_the_ground(tmp_path):
     data.qpos[2] = -5.0  # deep in the ground all touch it that can
     mujoco.mj_forward(model, data)
     touching = {max(pair) for pair in data.contact.geom.tolist() if 0 in model.geom_bodyid[pair]}
-    assert rows[added] == "ground of 'trunk' and 8 more" and len(touching) == 4 + 9
+    assert rows[added] == "contact of 'package_ground' and 'trunk' and 8 more" and len(touching) == 4 + 9
     assert added not in [row.in_file for row in make_robot(written(tmp_path, scene=plane)).differences()]
 
 
