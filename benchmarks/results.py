@@ -13,7 +13,7 @@ from humanoid_mjx.spec import InputError
 SAME = ("bench", "subject", "device", "batch", "beside", "unit")
 """Keys by which a record is found in both results; `beside` only where a record has it."""
 
-COSTS = ("s", "steps")
+COSTS = ("s", "processor", "steps")
 """Units of which less is better, by their first word."""
 
 LEAST_NOISE = 0.05
