@@ -130,7 +130,7 @@ def name_bodies(spec: mujoco.MjSpec) -> None:
 
 
 GRAVITY = '<option gravity="0 0 -9.81"/>'
-"""What a robot that stands needs."""
+"""Gravity that a robot needs to stand, as an MJCF has it."""
 
 
 def falls(model: mujoco.MjModel) -> bool:
