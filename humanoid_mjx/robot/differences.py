@@ -41,7 +41,8 @@ def differences(
     for name in sorted(name for name in dir(file.opt) if not name.startswith("_")):
         words = [_option(name, np.ravel(getattr(model.opt, name))) for model in (file, here)]
         rows += [("", f"option {name}", *words)] if words[0] != words[1] else []
-    judge = checked(robot.in_file()[0].compile)[0]  # with a ground, where the file has none
+    grounded = all(sole.one >= 0 for sole in soles)
+    judge = file if grounded else checked(robot.in_file()[0].compile)[0]  # with a ground, where the file has none
     kept = {sole.two for sole in soles_of(judge, robot.feet, robot.ground_geoms) if sole.one >= 0}
     rows += [*_of_contacts(judge, kept, robot.contacts == "feet"), *_of_actuators(file, here, robot.servo)]
     if turn[0] != 1.0:
