@@ -63,9 +63,9 @@ def run_sweep(
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None
         bar.phase("drawing figures")
-        from humanoid_mjx.evaluation.replay import why_stopped
+        from humanoid_mjx.evaluation.replay import remarks
         from humanoid_mjx.report.figures import draw_run  # matplotlib takes a while
-        from humanoid_mjx.runs.ranking import BEST_POINTS, best_table, fallen_in_words, in_words, ranked, rungs_in_words
+        from humanoid_mjx.runs.ranking import BEST_POINTS, best_table, in_words, ranked
 
         summary, quickest = run.summary, run.config.episodes is not None
         learning, paths = draw_run(run, summary)
@@ -87,7 +87,7 @@ def run_sweep(
     for row in rows:
         table.add_row(*row)
     console.print(table)
-    lines = [rungs_in_words(summary), why_stopped(run.path, summary), fallen_in_words(run.path, summary)]
+    lines = remarks(run.path, summary)
     lines += [str(path) for path in (run.path / "results.parquet", run.path / "summary.parquet", *paths)]
     further = f"{growing.file}" if growing else f"next: humanoid-mjx report {shlex.quote(str(run.path))}"
     for line in filter(None, (*lines, in_words(axes, points, learning.compared), further, *tracking.lines)):

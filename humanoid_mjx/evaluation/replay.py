@@ -1,4 +1,4 @@
-"""Replay a run that stopped at numbers that were not finite."""
+"""Replay a run that stopped at numbers that were not finite, and remarks on such runs and others."""
 
 import re
 from collections.abc import Mapping
@@ -13,6 +13,7 @@ from humanoid_mjx.compute import compiler_options
 from humanoid_mjx.config import parse
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.runs.folder import diverged_name, read_arrays, read_config
+from humanoid_mjx.runs.ranking import fallen_in_words, rungs_in_words
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.program import Training
@@ -44,6 +45,13 @@ def replay(folder: Path | str, point: int, seed: int) -> Replay:
     row = int(np.searchsorted(group.points, point))
     training = jax.tree.map(jnp.asarray, from_arrays(group.one_run, read_arrays(file), "training", str(file)))
     return Replay(group.learner(row), training.carry, training)
+
+
+def remarks(path: Path, summary: Mapping[str, np.ndarray]) -> list[str]:
+    """Return sentences on a run folder that its tables do not say: on rungs, on runs that stopped, and on those that
+    learned to end their episodes early."""
+    words = rungs_in_words(summary), why_stopped(path, summary), fallen_in_words(path, summary)
+    return [each for each in words if each]
 
 
 def why_stopped(path: Path, summary: Mapping[str, np.ndarray]) -> str:

@@ -18,7 +18,7 @@ from humanoid_mjx.compute.provenance import PACKAGES
 from humanoid_mjx.config import dump_yaml
 from humanoid_mjx.evaluation.film import driven_films, show
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, on_native, on_plane
-from humanoid_mjx.evaluation.replay import why_stopped
+from humanoid_mjx.evaluation.replay import remarks
 from humanoid_mjx.report.drawing import HEAT_MAPS
 from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, mapped, parameters
 from humanoid_mjx.report.learned import learned
@@ -30,7 +30,7 @@ from humanoid_mjx.report.web import contents, data_address, facts, image, link, 
 from humanoid_mjx.robot.differences import HEADINGS, differences_of
 from humanoid_mjx.runs.curves import Learning, read_learning
 from humanoid_mjx.runs.folder import read_config, read_provenance
-from humanoid_mjx.runs.ranking import Ranked, best_table, fallen_in_words, in_words, ranked, rungs_in_words, short
+from humanoid_mjx.runs.ranking import Ranked, best_table, in_words, ranked, short
 from humanoid_mjx.runs.tables import read_table
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.training.pace import time_in_words
@@ -109,9 +109,7 @@ def _result(
     caption = f"{some}, best first" if len(points) > 1 else "The only point"
     parts = [table(headings, rows, caption=caption)]
     parts += [text(_capital(line)) for line in in_words(list(learning.axes), points, learning.compared).splitlines()]
-    remarks = rungs_in_words(summary), why_stopped(path, summary), fallen_in_words(path, summary)
-    for words in filter(None, remarks):
-        parts.append(_note(words, "strong"))
+    parts += [_note(words, "strong") for words in remarks(path, summary)]
     words = (
         "Greedy: episodes in which nothing is explored or learned, after training. Success is the mean over seeds, the "
         "other columns are medians over seeds. Points are as good as the best if the same seeds do not tell them apart "

@@ -169,7 +169,7 @@ def test_figures_of_every_number_of_axes(tmp_path, axes, seeds):
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
 
 
-def test_runs_that_learned_to_end_at_once_are_told_which_penalty_to_halve(monkeypatch):
+def test_runs_that_learned_to_end_early_are_told_which_penalty_to_halve(monkeypatch):
     """Of each run the first and the last point of the curve: the first one falls early, the others go on, one of them
     with shorter episodes that succeed; points without an episode say nothing."""
     columns = {
@@ -187,9 +187,11 @@ def test_runs_that_learned_to_end_at_once_are_told_which_penalty_to_halve(monkey
     summary = ends | {name: np.full(4, weight) for name, weight in weights.items()}
     monkeypatch.setattr(ranking, "read_table", lambda path, names: {name: table[name] for name in names})
     assert ranking.fallen_in_words(Path(), summary) == (
-        "1 of 4 runs learned to end their episodes at once: at first a step brought -2, of which slip -2.2. With half "
+        "1 of 4 runs learned to end their episodes early: at first a step brought -2, of which slip -2.2. With half "
         "the penalty it may pay to go on: --set task.rewards.slip=-1.2"
     )
+    table["steps"][2] = 40.0
+    assert "1 of 4 runs" in ranking.fallen_in_words(Path(), summary), "two thirds of the first length"
     table["return"][0] = 1.0
     assert ranking.fallen_in_words(Path(), summary) == ""
     assert ranking.fallen_in_words(Path(), ends) == "", "a task without weights"
