@@ -35,7 +35,7 @@ fifth; starting a call of 5 ms takes two more."""
 
 STEPS = {"cpu": (1024, 2**17), "gpu": (1024, 8192)}
 """The fewest and the most steps in a call; a kernel on a GPU makes the most. A sweep makes as many as fit into a fifth
-of a second: in calls of 8,192 steps, half the time of one agent on a CPU would be their start."""
+of a second: in calls of 8,192 steps, two fifths of the time of one agent on a CPU would be their start."""
 
 CPU_BLOCK = 1024
 """Agents whose state the cache of a core holds."""
