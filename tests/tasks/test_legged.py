@@ -323,8 +323,10 @@ def test_rewards_of_feet_are_of_those_that_touch():
     assert schedule(view._replace(feet=on_left)) == 1.0 and schedule(view) == 0.5
     assert flight(view) == 1.0 and flight(view._replace(feet=on_left)) == 0.0
     sliding = on_left._replace(corner_velocity=feet.corner_velocity.at[:, :, 0].set(0.2))
-    # Four of the eight moving corners touch: 10 * 4 * 0.2^2 / 4.
-    assert slip(view._replace(feet=sliding)) == pytest.approx(0.4, rel=1e-5)
+    # Four of the eight moving corners touch: 0.2^2 / 2, of the 0.025 at which the term is 1.
+    assert slip(view._replace(feet=sliding)) == pytest.approx(0.8, rel=1e-5)
+    faster = sliding._replace(corner_velocity=2 * sliding.corner_velocity)
+    assert slip(view._replace(feet=faster)) == 1.0
     assert slip(view._replace(feet=sliding._replace(corner_force=jnp.zeros((2, 4))))) == 0.0
     assert crossing(view) == 0.0
     crossed = feet._replace(position=feet.position[::-1])

@@ -44,7 +44,7 @@ class Shapes(Spec):
     clearance: float = shape(0.058, "error at which `clearance` is 1 / e, as a share of the legs' length")
     apart: float = shape(0.24, "lateral distance of feet that are not too near, as a share of the legs' length")
     crossing: float = shape(0.096, "shortfall at which `crossing` is 1, as a share of the legs' length")
-    slip: float = shape(0.049, "squared speed of a foot at which `slip` is 1, over the squared pace")
+    slip: float = shape(0.01225, "mean squared speed of feet on the ground at which `slip` is 1, over the squared pace")
 
 
 SHAPES = Shapes()
@@ -102,7 +102,7 @@ class WalkRewards(Rewards):
     schedule: float = traced(0.18, description="for feet that are loaded and lifted when the clock says so")
     clearance: float = traced(0.06, description="for feet as high above the ground as the clock says")
     flight: float = traced(-0.3, description="for each step without a foot on the ground")
-    slip: float = traced(-2.4, description="for corners that touch and move")
+    slip: float = traced(-1.2, description="for corners that touch and move")
     flat: float = traced(-0.03, description="for feet that stand tilted")
     crossing: float = traced(-0.06, description="for feet too near each other")
     yawing: float = traced(-0.5, description="for a torso that turns to and fro")
@@ -163,15 +163,13 @@ def flight(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
 
 
 def slip(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
-    """The sum of the squared speeds along the ground of the corners in contact, divided by the corners per foot and by
+    """The squared speed along the ground of the corners in contact, a mean over all corners of all feet, divided by
     `shapes.slip`; at most 1.
 
     Corners count, since the middle of a foot that rolls over its edge moves without slipping.
     """
     squares = jnp.sum(view.feet.corner_velocity[..., :2] ** 2, axis=-1)
-    return jnp.minimum(
-        jnp.sum(squares * view.feet.touching) / (view.robot.points * view.robot.square(shapes.slip)), 1.0
-    )
+    return jnp.minimum(jnp.mean(squares * view.feet.touching) / view.robot.square(shapes.slip), 1.0)
 
 
 def flat(view: View, shapes: Shapes = SHAPES) -> FloatScalar:
