@@ -46,7 +46,7 @@ def run_sweep(
 
         engine = partial(OnRay, address=ray)
     compute.start(mjx="mjx-jax" in loaded.physics)
-    from humanoid_mjx.training.sweep import check_later, sweep  # once a config is there: half a second
+    from humanoid_mjx.training.sweep import check_later, sweep_first  # once a config is there: half a second
     from humanoid_mjx.training.trackers import Tracking
 
     check_later(loaded)
@@ -58,7 +58,7 @@ def run_sweep(
     ):
         try:
             watch = [*tracking.watch, *([growing.watch] if growing else [])]
-            run = sweep(loaded.alone, out, resume=resume, reporter=growing or bar, watch=watch, engine=engine)
+            run = sweep_first(loaded, out, resume, reporter=growing or bar, watch=watch, engine=engine)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None
@@ -92,7 +92,7 @@ def run_sweep(
     further = f"{growing.file}" if growing else f"next: humanoid-mjx report {shlex.quote(str(run.path))}"
     for line in filter(None, (*lines, in_words(axes, points, learning.compared), further, *tracking.lines)):
         console.print(line, soft_wrap=True)
-    if later := loaded.later(run.path):
+    if later := run.config.later(run.path):
         place = run.path / THEN
         run_sweep(later, place, (), resume and place.exists(), trackers, view, ray, engine)
 

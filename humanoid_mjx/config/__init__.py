@@ -70,16 +70,11 @@ class Config(pydantic.BaseModel):
         """Origin of the config, used in messages."""
         return self._source
 
-    @property
-    def alone(self) -> "Config":
-        """The config without `then`."""
-        return self.model_copy(update={"then": None})
-
     def later(self, run: Path | str) -> "Config | None":
         """Return the config of the training that goes on from this one's run folder in the world of `then`."""
         if self.then is None:
             return None
-        data = _changed(self.alone.model_dump(mode="json", exclude_none=True), self.then)
+        data = _changed(self.model_dump(mode="json", exclude_none=True, exclude={"then"}), self.then)
         data["learner"]["start_from"] = str(run)
         if isinstance(budget := data.get("episodes", data.get("total_steps")), int) and "record" not in self.then:
             data["record"] = max(1, min(self.record, budget))
@@ -323,7 +318,7 @@ def dump_yaml(data: dict[str, Any]) -> str:
 
 
 def config_digest(data: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a resolved config without `name` and `modules`. Runs with the same digest have the same
-    results."""
-    values = {key: value for key, value in data.items() if key not in ("name", "modules")}
+    """Return the SHA-256 of a resolved config without `name`, `modules` and `then`. Runs with the same digest have the
+    same results."""
+    values = {key: value for key, value in data.items() if key not in ("name", "modules", "then")}
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

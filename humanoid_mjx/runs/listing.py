@@ -93,7 +93,8 @@ def look_at(path: Path) -> Listed:
         raise
     except (LookupError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path}: its config, provenance and tables do not fit together.") from error
-    state = "finished" if share >= 1.0 else "training" if _in_use(path) else "interrupted"
+    waits = "then" in config and not (path / THEN).is_dir()
+    state = "finished" if share >= 1.0 and not waits else "training" if _in_use(path) else "interrupted"
     return Listed(path, *named, points, seeds, state, share, success, greedy_return, diverged, started, disk_used(path))
 
 

@@ -266,7 +266,7 @@ def build(config: Config, point: Mapping[str, Any]) -> Learner:
 
 def at_point(config: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """A config as plain values, at the point of its sweep with these values by dotted key."""
-    alone = {key: value for key, value in config.items() if key != "sweep"}
+    alone = {key: value for key, value in config.items() if key not in ("sweep", "then")}
     for key, value in values.items():
         set_below(alone, key.split("."), value, f"sweep.axes.{key}")
     return alone

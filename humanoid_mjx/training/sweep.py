@@ -146,25 +146,39 @@ def sweep(
     if isinstance(trackers, str) or not isinstance(trackers, Sequence):
         raise InputError(f'sweep: trackers must be a list such as ["tensorboard"], got {trackers!r}.')
     check_later(config)  # before anything trains
-    runs, part = list[Run](), config
-    while part:
-        plan = make_plan(part.alone)
-        with (
-            closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,
-            nullcontext(reporter or Reporter()) if reporter or quiet else reporting() as speaker,
-            Tracking(trackers, speaker.note) as tracking,
-            closing(open_folder(out, plan, resume, trainer.at_once)) as folder,
-        ):
-            session = Session(folder, plan, speaker, [make(folder, plan) for make in (*watch, *tracking.watch)])
-            try:
-                session.train(trainer)
-                session.end()
-            finally:
-                session.write_results()
-        runs.append(Run(folder.path))
-        part, out = part.later(folder.path), folder.path / THEN
-        resume = resume and out.exists()
-    return runs[0]
+    run = last = sweep_first(config, out, resume, pool_size, reporter, quiet, trackers, watch, engine)
+    while later := last.config.later(last.path):
+        out = last.path / THEN
+        last = sweep_first(later, out, resume and out.exists(), pool_size, reporter, quiet, trackers, watch, engine)
+    return run
+
+
+def sweep_first(
+    config: Config,
+    out: Path | str | None,
+    resume: bool,
+    pool_size: int | None = None,
+    reporter: Reporter | None = None,
+    quiet: bool = False,
+    trackers: Sequence[str | Tracker] = (),
+    watch: Sequence[Callable[[RunFolder, Plan], Curves]] = (),
+    engine: EngineOf | None = None,
+) -> Run:
+    """Train as `sweep` does, but not on in the world of `then`."""
+    plan = make_plan(config)
+    with (
+        closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,
+        nullcontext(reporter or Reporter()) if reporter or quiet else reporting() as speaker,
+        Tracking(trackers, speaker.note) as tracking,
+        closing(open_folder(out, plan, resume, trainer.at_once)) as folder,
+    ):
+        session = Session(folder, plan, speaker, [make(folder, plan) for make in (*watch, *tracking.watch)])
+        try:
+            session.train(trainer)
+            session.end()
+        finally:
+            session.write_results()
+    return Run(folder.path)
 
 
 def check_later(config: Config) -> None:
@@ -172,7 +186,7 @@ def check_later(config: Config) -> None:
     if later := config.later("the run folder"):
         first, second = (
             [jax.tree.map(lambda leaf: leaf.shape, group.policy) for group in make_plan(each).groups]
-            for each in (config.alone, later)
+            for each in (config, later)
         )
         if first != second:
             raise InputError(f"{later.source}: what it learns has another size than before; leave sizes as they are.")

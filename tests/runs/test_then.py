@@ -39,7 +39,7 @@ def test_it_trains_what_two_sweeps_by_hand_train(moved, tmp_path):
     }
     assert_same_tables(moved.path, first.path)
     assert_same_rows(moved.later, sweep(CONFIG | by_hand, tmp_path / "second", quiet=True))
-    assert first.later is None and moved.config.then is None and moved.later.config.task["goal"] == -15.0
+    assert first.later is None and moved.config.then == FURTHER and moved.later.config.task["goal"] == -15.0
 
 
 def test_a_short_training_has_as_many_points_as_it_can():
@@ -53,6 +53,27 @@ def test_a_sweep_that_ended_between_both_goes_on_with_the_second(moved, tmp_path
     again = sweep(MOVED, tmp_path / "run", resume=True, quiet=True)
     assert_same_rows(again.later, moved.later)
     assert_same_rows(sweep(MOVED, again.path, resume=True, quiet=True).later, moved.later)
+
+
+def test_the_config_of_the_run_folder_resumes_both(moved, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(moved.path, run)
+    shutil.rmtree(run / "then")
+    (listed,), _ = list_runs(tmp_path)
+    assert listed.state == "interrupted"
+    told("sweep", run / "config.yaml", "--out", run, "--resume")
+    assert_same_rows(Run(run).later, moved.later)
+    with pytest.raises(InputError, match=r"made with another config \(then.task.goal differs\)"):
+        sweep(CONFIG | {"then": {**FURTHER, "task": {"goal": -10.0}}}, run, resume=True, quiet=True)
+    with pytest.raises(InputError, match=r"made with another config \(then differs\)"):
+        sweep(CONFIG, run, resume=True, quiet=True)
+
+
+def test_a_finished_sweep_can_train_on(moved, tmp_path):
+    sweep(CONFIG, tmp_path / "run", quiet=True)
+    again = sweep(MOVED, tmp_path / "run", resume=True, quiet=True)
+    assert_same_rows(again.later, moved.later)
+    assert again.config.then == FURTHER
 
 
 def test_a_run_folder_that_stands_elsewhere_now_is_resumed(moved, tmp_path):
