@@ -88,7 +88,7 @@ def info(
     (exit 2 if anything)."""
     from humanoid_mjx.commands.info import show_info, show_keys, show_model
 
-    if name and name.endswith(".xml"):
+    if name and name.endswith((".xml", ".urdf")):
         raise typer.Exit(0 if show_model(name) else 2)
     with trusting(trust or ":" in (name or "")):
         show_keys(name) if keys else show_info(name, set_ or [], time)

@@ -10,6 +10,7 @@ import contextlib
 import os
 import re
 import shlex
+import subprocess
 import sys
 import traceback
 from pathlib import Path
@@ -68,7 +69,10 @@ class Reader:
         if program != "humanoid-mjx":
             assert program in OTHER_COMMANDS, f"{program}: an unknown program"
             scripts = [word for word in arguments if word.endswith(".py")]
-            assert all((ROOT / script).is_file() for script in scripts), f"{scripts}: no such file"
+            if scripts and Path(scripts[0]).is_file():  # the page's own
+                subprocess.run([sys.executable, *arguments], check=True)
+            else:
+                assert all((ROOT / script).is_file() for script in scripts), f"{scripts}: no such file"
         elif arguments[0].startswith("-"):
             self.group.make_context(program, arguments)
         else:

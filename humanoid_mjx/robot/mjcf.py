@@ -68,8 +68,11 @@ def read_spec(file: str) -> tuple[mujoco.MjSpec, int]:
     Bones that touch nothing and weigh nothing show the bodies in their place.
 
     Raises:
-      InputError: such a shape touches something or has a mass.
+      InputError: it is a URDF, or such a shape touches something or has a mass.
     """
+    if "<robot" in Path(file).read_text(encoding="utf-8", errors="replace"):
+        cure = "docs/your_robot.md (From a URDF) has a script that writes an MJCF of it"
+        raise InputError(f"model: {Path(file).name} is a URDF, without a free joint and motors; {cure}.")
     spec, gone = mujoco.MjSpec.from_file(file), {}
     folder, paired = Path(file).parent / spec.meshdir, {name for p in spec.pairs for name in (p.geomname1, p.geomname2)}
     for mesh in spec.meshes:

@@ -41,6 +41,8 @@ def desk(tmp_path, monkeypatch):
     for name in ("three", "lonely"):
         Path(f"{name}.xml").write_text(MJCF)
     Path("three.yaml").write_text("model: three.xml\nfeet: [foot]\n")
+    Path("leg.urdf").write_text('<robot name="leg"><link name="trunk"/></robot>')
+    Path("urdf.yaml").write_text("model: leg.urdf\nfeet: [foot]\n")
     Path("cart_pole.yaml").write_text(json.dumps(CONFIG))
     Path("mine.npz").write_bytes(b"")
     for name in ("joint1", "joint1-2"):
@@ -93,6 +95,8 @@ TYPED = {
     "info dog.yaml": "but dog is one",
     "play walk --out cart_pole.yaml/y.gif": "cart_pole.yaml is a file and no folder",
     "sweep cart_pole.yaml --out cart_pole.yaml/y": "a file stands where a folder is wanted",
+    "info leg.urdf": "leg.urdf is a URDF, without a free joint and motors; docs/your_robot.md (From a URDF)",
+    "info urdf.yaml": "urdf.yaml: model: leg.urdf is a URDF, without a free joint and motors; docs/your_robot.md",
     "info lower_bodx": "did you mean 'lower_body'?",
     # the pair of task and learner comes first, then the unit of the length; no number is converted
     "sweep stand --set learner.name=tabular_q": "stand: learner.name: tabular_q learns finite tasks, which stand is "
