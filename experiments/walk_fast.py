@@ -43,7 +43,7 @@ AXES = {
     "task.gait.stance": [0.62, 0.5, 0.5],
     "task.gait.cadence": [0.4, 0.4, 0.8],
     "task.action_scale": [16.0, 24.0, 24.0],
-    "task.rewards.slip": [-1.8, -1.8, -0.6],
+    "task.rewards.slip": [-0.9, -0.9, -0.3],
 }
 """The settings, point by point: long stances, a clock that knows of no time with both feet down, and less care."""
 
