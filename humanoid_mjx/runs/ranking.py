@@ -192,6 +192,15 @@ def _matters(grid: bool, axes: Mapping[str, np.ndarray], values: np.ndarray) -> 
             pair = levels[one].index * len(levels[other].labels) + levels[other].index
             of[f"{one} and {other}"] = statistics.importance(pair, values) - of[one] - of[other]
         shares = {name: statistics.estimate(share, -1.0, 1.0) for name, share in of.items()}
+        index = [np.unique(column, return_inverse=True)[1] for column in axes.values()]
+        whole = np.full((values.shape[1], *(each.max() + 1 for each in index)), np.nan)  # NaN where a point is missing
+        whole[:, *index] = values.T
+        for name, share in shares.items():
+            chosen = [1 + list(axes).index(axis) for axis in name.split(" and ")]
+            table = np.moveaxis(whole, chosen, range(len(chosen)))
+            table = table.reshape(*table.shape[: len(chosen)], *[1] * (2 - len(chosen)), -1)
+            if share.low > 0 and statistics.is_chance(table):
+                shares[name] = share._replace(low=0.0)
         if values.shape[1] < 3:  # each of two seeds against the other gives the same share
             shares = {name: share._replace(low=-1.0, high=1.0) for name, share in shares.items()}
     named = {" and ".join(x.rpartition(".")[2] for x in key.split(" and ")): each for key, each in shares.items()}

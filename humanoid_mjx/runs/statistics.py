@@ -26,7 +26,7 @@ RESAMPLES = 399
 ROUNDING = 1e-9
 
 BLOCKS = 32
-"""More seeds than this are averaged in so many blocks before points are compared."""
+"""More seeds than this, or seeds of other points, are averaged in so many blocks before points are compared."""
 
 
 class Estimate(NamedTuple):
@@ -98,8 +98,7 @@ def not_worse(values: Float[np.ndarray, "points seeds"], error: float = ERROR) -
     """
     known = np.isfinite(values)
     values = np.where(known, values, np.min(values, where=known, initial=inf) if known.any() else 0.0)
-    if values.shape[1] > BLOCKS:
-        values = np.stack([block.mean(axis=1) for block in np.array_split(values, BLOCKS, axis=1)], axis=1)
+    values = _in_blocks(values)
     means = values.mean(axis=1)
     order = np.argsort(-means, kind="stable")
     ends = [*np.flatnonzero(-np.diff(means[order]) > ROUNDING) + 1, len(values)]  # equal points leave together
@@ -137,6 +136,35 @@ def _are_alike(values: Float[np.ndarray, "points seeds"], error: float) -> bool:
             return True
     nearer = np.max([np.searchsorted(np.sort(each), each * (1 - ROUNDING)) for each in deals.T], axis=0)
     return bool(np.mean(nearer >= nearer[0]) > error)
+
+
+def is_chance(table: Float[np.ndarray, "levels others repeats"]) -> bool:
+    """True if chance makes the levels of a parameter differ as much: in more than 5 % of the deals.
+
+    A deal is to shuffle the levels of each repeat, a seed with values of all other parameters; so the test holds
+    whatever the distribution (M. Anderson and C. ter Braak, 2003). With more than one column it tests what levels and
+    columns do together: the means of both are taken away, and the columns of each repeat are shuffled, too.
+    """
+    table = _in_blocks(table[..., np.isfinite(table).all(axis=(0, 1))])
+    table = table - table.mean(axis=0)
+    table = table - table.mean(axis=1, keepdims=True) * (table.shape[1] > 1)
+    rng, as_far, spread = np.random.default_rng(0), 1, np.square(table.mean(axis=2)).sum() * (1 - ROUNDING)
+    for _ in range(RESAMPLES if table.size else 0):
+        dealt = table
+        for axis in (0, 1):
+            keys = rng.random([n if i in (axis, 2) else 1 for i, n in enumerate(table.shape)])
+            dealt = np.take_along_axis(dealt, np.argsort(keys, axis=axis), axis)
+        as_far += np.square(dealt.mean(axis=2)).sum() >= spread
+        if as_far > ERROR * (RESAMPLES + 1):
+            break
+    return not table.size or bool(as_far > ERROR * (RESAMPLES + 1))
+
+
+def _in_blocks(values: Float[np.ndarray, "*points repeats"]) -> Float[np.ndarray, "*points blocks"]:
+    """The means of at most `BLOCKS` parts of the last axis."""
+    if values.shape[-1] <= BLOCKS:
+        return values
+    return np.stack([block.mean(axis=-1) for block in np.array_split(values, BLOCKS, axis=-1)], axis=-1)
 
 
 def of_levels(
