@@ -173,8 +173,11 @@ def compared(mode: str, axes: Sequence[str], summary: Mapping[str, np.ndarray], 
                 measure, values = name, found
             left[left] = statistics.not_worse(found[left], statistics.ERROR / len(names))
         known = whole & np.isfinite(values).all(axis=1)
+        as_good = frozenset(points[left | best].tolist())
+        if not known.any():
+            return Judged("", as_good, {})
         matters = _matters(mode == "grid", {axis: column[known] for axis, column in levels.items()}, values[known])
-        return Judged(measure, frozenset(points[left | best].tolist()), matters) if measure else UNJUDGED
+        return Judged(measure, as_good, matters)
 
     policy = judged(QUICKEST if quickest else RICHEST)
     learning = judged(["whole_steps" if quickest else "whole_return"])

@@ -237,6 +237,15 @@ def test_a_sweep_says_what_it_found_or_that_it_cannot_tell():
     assert "cannot tell with 1 seed which of the 12 points" in told(rates[..., :1], 1)
 
 
+def test_a_sweep_in_which_no_episode_ended_is_judged_by_greedy_episodes():
+    summary, axes = summary_of(np.ones((2, 2, 3)), 3), ["learner.epsilon", "learner.rate"]
+    found = compared("grid", axes, summary | {"whole_steps": np.full(12, np.nan)}, quickest=True)
+    assert found.learning.measure == "" and found.policy.as_good == {0, 1, 2, 3}
+    assert in_words(axes, ranked(axes, summary, quickest=True), found).startswith(
+        "cannot tell with 3 seeds which of the 4"
+    )
+
+
 @pytest.mark.parametrize(
     ("slower", "words"),
     [(1.0, "and it is the best of these by steps over"), (0.0, "and 4 of these are not by steps over")],
