@@ -226,12 +226,15 @@ def _rollout(task: Task, policy: Any, key: Key[Array, ""], discount: float | Arr
 
 def _checked(action: Any, bins: tuple[int, ...], commands: bool) -> Array:
     """Return an action if it has the shape and the dtype of choices, or of `commands` where these are allowed."""
-    action = jnp.asarray(action)
-    allowed = commands if jnp.issubdtype(action.dtype, jnp.floating) else jnp.issubdtype(action.dtype, jnp.integer)
-    if action.shape != (len(bins),) or not allowed:
-        kinds, got = _kinds(bins, commands), f"{action.dtype}{list(action.shape)}"
-        raise InputError(f"rollout: the policy must return {kinds}, of shape ({len(bins)},); got {got}.")
-    return action
+    kinds = f"rollout: the policy must return {_kinds(bins, commands)}, of shape ({len(bins)},); got"
+    try:
+        array = jnp.asarray(action)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{kinds} {shown(action)}.") from error
+    allowed = commands if jnp.issubdtype(array.dtype, jnp.floating) else jnp.issubdtype(array.dtype, jnp.integer)
+    if array.shape != (len(bins),) or not allowed:
+        raise InputError(f"{kinds} {array.dtype}{list(array.shape)}.")
+    return array
 
 
 def _kinds(bins: tuple[int, ...], commands: bool) -> str:

@@ -51,9 +51,9 @@ def check_folder(file: Path, option: str = "") -> None:
     Raises:
       InputError: it cannot; the message begins with `option`.
     """
-    if file.exists() and not file.is_file():
-        kind = "folder" if file.is_dir() else "pipe or device"
-        raise InputError(f"{option} {file}: this is a {kind}; name a file.".lstrip())
+    if str(file) == "-" or (file.exists() and not file.is_file()):
+        kind = "the standard output" if str(file) == "-" else "a folder" if file.is_dir() else "a pipe or device"
+        raise InputError(f"{option} {file}: this is {kind}; name a file.".lstrip())
     if not file.parent.is_dir():
         what = f"{file.parent} is a file and no folder" if file.parent.exists() else f"there is no folder {file.parent}"
         raise InputError(f"{option} {file}: {what}.".lstrip())

@@ -230,6 +230,8 @@ WRONG = {
     "train(key(0), table)": "train: write train(learner, key(0)); PRNGKeyArray is no learner of make_learner.",
     "rollout(policy, task, key(0))": "the first two are Policy and JointReach.",
     "rollout(task, lambda obs, key: jnp.int32(7), key(0))": "below [2], of shape (1,); got int32[].",
+    "rollout(task, lambda obs, key: None, key(0))": "below [2], of shape (1,); got None.",
+    "rollout(task, lambda obs, key: {'action': 1}, key(0))": "of shape (1,); got {'action': 1}.",
     "rollout(task, lambda obs, key: jnp.zeros(2, int), key(0))": "below [2], of shape (1,); got int32[2].",
     "rollout(task, lambda obs, key: jnp.zeros(1), key(0))": "below [2], of shape (1,); got float32[1].",
     "rollout(reach, lambda obs, key: jnp.zeros(2), key(0))": "or numbers from -1 to 1, of shape (5,); got float32[2].",
@@ -273,6 +275,7 @@ WRONG = {
     "humanoid_mjx.sweep('maze', overrides='seeds=2')": 'overrides must be a list such as ["learner.epsilon=0.1"], got',
     "humanoid_mjx.evaluate('walk', overrides=[3])": 'an override must be a string such as "learner.epsilon=0.1", got',
     "humanoid_mjx.play(policy)": "moves no robot",
+    "make_physics('tree', 3)": "name the values, as in make_physics('tree', robot=...); got 3.",
     "TaskVectorEnv(task, 0)": "TaskVectorEnv: num_envs must be an integer of at least 1, got 0.",
     "TaskVectorEnv(task, 2, 'choice')": "actions must be choices or numbers, got 'choice'.",
 }
@@ -281,6 +284,7 @@ import json, sys
 import jax, jax.numpy as jnp
 import humanoid_mjx
 from humanoid_mjx import InputError, Policy, key, load_policy, make_learner, make_task, rollout, train
+from humanoid_mjx.physics import make_physics
 from humanoid_mjx.tasks.gym_env import TaskVectorEnv
 
 task, reach = make_task("joint_reach", joint=4, states=8, max_episode_steps=50), make_task("leg_reach")

@@ -4,7 +4,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 from humanoid_mjx.physics.base import Physics
-from humanoid_mjx.spec import make
+from humanoid_mjx.spec import InputError, make, shown
 
 if TYPE_CHECKING:
     from humanoid_mjx.physics.chain import ChainPhysics
@@ -44,6 +44,10 @@ def make_physics(name: str, base: type[Physics] = Physics, /, **params: Any) -> 
     Raises:
       InputError: unknown name or parameter, a value out of range, or a package that is not installed.
     """
+    if not isinstance(base, type):
+        raise InputError(
+            f"make_physics: name the values, as in make_physics({name!r}, robot=...); got {shown(base)}."
+        )
     return make("physics", PHYSICS, base, name, **params)
 
 

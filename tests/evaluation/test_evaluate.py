@@ -276,6 +276,7 @@ def test_a_policy_is_shown_in_the_file_of_its_robot_beside_its_own_world(tmp_pat
         (["evaluate", "nothing"], "neither a run folder nor a policy"),
         (["evaluate", "RUN", "--json", "none/x.json"], "there is no folder none"),
         (["evaluate", "RUN", "--json", "."], "--json .: this is a folder; name a file"),
+        (["evaluate", "RUN", "--json", "-"], "--json -: this is the standard output; name a file"),
         (["evaluate", "posture_switch", "--point", "1"], "--point: posture_switch is no run folder"),
         (
             ["evaluate", "walk_dog", "--physics", "tree", "--unmodified"],
