@@ -187,7 +187,7 @@ def compared(mode: str, axes: Sequence[str], summary: Mapping[str, np.ndarray], 
 def _matters(grid: bool, axes: Mapping[str, np.ndarray], values: np.ndarray) -> dict[str, statistics.Estimate]:
     """The importance of each parameter, and in a grid of what each two do together."""
     levels = {axis: find_levels(column) for axis, column in axes.items()}
-    if not grid:
+    if not (grid and axes):
         shares = {axis: statistics.importance_of_drawn(each.index, values) for axis, each in levels.items()}
     else:
         of = {axis: statistics.importance(each.index, values) for axis, each in levels.items()}

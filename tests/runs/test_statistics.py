@@ -173,6 +173,7 @@ def test_a_grid_with_a_missing_point_says_what_matters():
     index, values = grid(lambda i, j, k: 2.0 * i)
     found = _matters(True, dict(zip("abc", index[:, 1:], strict=True)), values[1:])
     assert [name for name, share in found.items() if share.low > 0 and share.value > 0.05] == ["a"]
+    assert _matters(True, {}, values[:1]) == {}
 
 
 def test_of_points_drawn_at_random_the_other_parameters_are_no_effect():
