@@ -25,7 +25,7 @@ class Outcome(NamedTuple):
     """Entries of the learning curve from one training step; each is a scalar, or has an axis of agents."""
 
     done: FloatScalar
-    """Share of the training done by then, in units of `budget`."""
+    """Training done before the step, in units of `budget`."""
     episodes: FloatScalar
     """Number of episodes that ended."""
     totals: dict[str, FloatScalar]

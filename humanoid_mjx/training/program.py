@@ -66,13 +66,15 @@ def train(learner: Learner, training: Training, steps: IntScalar) -> Training:
     """Train for `steps` steps, or up to a lap more, or less where training ends.
 
     An episode counts at the point of the curve in which its middle lies, moved so that none lies between two points,
-    where rounding would choose. `plan.Plan.places` are the counts.
+    where rounding would choose; an update of many steps at that of its last step. `plan.Plan.places` are the counts.
     """
-    middle = (learner.record // 2 + 0.5) / learner.record
+    size = learner.update_steps
+    middle = size - 1 + (learner.record // 2 + 0.5) / learner.record
+    end = learner.budget if size == 1 else jnp.ceil(learner.budget / size) * size
 
     def step(_: IntScalar, inner: tuple[Any, Array]) -> tuple[Any, Array]:
         carry, outcome = _train_step(learner, inner[0])
-        place = (jnp.asarray(outcome.done, jnp.float32) + middle) * (learner.record / learner.budget)
+        place = (jnp.asarray(outcome.done, jnp.float32) + middle) * (learner.record / end)
         point = jnp.minimum(place.astype(jnp.int32), learner.record - 1)
         values = [jnp.asarray(value, jnp.float32) for value in _recorded(outcome).values()]
         return carry, add_at(inner[1], point, jnp.stack(values, axis=-1))

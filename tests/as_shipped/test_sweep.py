@@ -205,6 +205,17 @@ def test_runs_that_approximate_train_side_by_side_with_shared_kernels(tmp_path):
     assert np.isfinite(run.results["greedy_return"]).all()
 
 
+def test_an_update_counts_at_the_record_point_of_its_last_step(tmp_path):
+    """Of seven updates of 16 steps, in 100 steps; the last tenth of the curve holds the last of them."""
+    learner = {"name": "deep_q", "width": 4, "layers": 1, "envs": 4, "rollout": 4, "minibatches": 1}
+    config = {"name": "few", "task": CONFIG["task"], "learner": learner | {"evaluation_envs": 1}, "total_steps": 100}
+    run = sweep(config, tmp_path / "run")
+    ends = np.round(1.12 * np.arange(1, 101))
+    expected = np.searchsorted(ends, 16 * np.arange(1, 8))
+    assert np.flatnonzero(np.isfinite(run.results["td_error"])).tolist() == expected.tolist()
+    assert np.isfinite(run.summary["td_error"]).all()
+
+
 def test_a_flipped_bit_of_a_checkpoint_is_named_or_harmless(tmp_path):
     """Every bit of a small file: its checksums find most, its headers and directory must be read without surprise."""
     path = tmp_path / "part.npz"
