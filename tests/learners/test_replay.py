@@ -78,6 +78,6 @@ def test_it_stops_at_its_end_and_refuses_what_cannot_be():
     same = jax.tree.map(
         np.array_equal, *(each._replace(memory=None, key=None) for each in jax.device_get((after, carry)))
     )
-    assert all(jax.tree.leaves(same)) and outcome.done == 30.0 and nothing.episodes == 0.0
+    assert all(jax.tree.leaves(same)) and outcome.done == 27.0 and nothing.episodes == 0.0
     with pytest.raises(InputError, match=r"learner\.capacity must be at least 1, got 0"):
         make_learner("replay:ReplayQ", task, capacity=0)
