@@ -45,9 +45,7 @@ def make_physics(name: str, base: type[Physics] = Physics, /, **params: Any) -> 
       InputError: unknown name or parameter, a value out of range, or a package that is not installed.
     """
     if not isinstance(base, type):
-        raise InputError(
-            f"make_physics: name the values, as in make_physics({name!r}, robot=...); got {shown(base)}."
-        )
+        raise InputError(f"make_physics: name the values, as in make_physics({name!r}, robot=...); got {shown(base)}.")
     return make("physics", PHYSICS, base, name, **params)
 
 

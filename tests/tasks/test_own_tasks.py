@@ -385,6 +385,20 @@ def test_a_bandit_has_one_state():
     assert trained.policy.weights.tolist() == [[0.0, 1.0]]
 
 
+class Paid(Bandit):
+    bonus: float = traced(1.0)
+
+    def step(self, state, action, key):
+        return state, self.bonus * action, jnp.bool_(True)
+
+
+def test_a_value_of_a_task_may_be_mapped():
+    """The trial's rewards then are no numbers, while its ends are."""
+    learner = make_learner("tabular_q", Paid(), episodes=50, learning_rate=1.0)
+    mapped = jax.vmap(lambda bonus: train(learner.replace(task=learner.task.replace(bonus=bonus)), key(0)))
+    assert mapped(jnp.array([1.0, 3.0])).policy.weights[:, 0, 1].tolist() == [1.0, 3.0]
+
+
 class Counts(Row):
     def step(self, state, action, key):
         return (state + action) % 3, 0.5, state // 2
