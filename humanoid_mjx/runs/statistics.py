@@ -201,7 +201,8 @@ def importance_of_drawn(level: Int[np.ndarray, " points"], values: Float[np.ndar
     """The importance of a parameter whose points were drawn at random, with the interval of other draws of points.
 
     The interval is Student's by the jackknife over at most `BLOCKS` groups of points (M. Quenouille, 1956; J. Tukey,
-    1958); an interval over seeds alone would hold what other points would show in a third of the cases.
+    1958); an interval over seeds alone would hold what other points would show in a third of the cases. With fewer than
+    two points a level it is -1 to 1: any number of values explains as many points.
     """
 
     def share(kept: np.ndarray) -> float:
@@ -209,7 +210,7 @@ def importance_of_drawn(level: Int[np.ndarray, " points"], values: Float[np.ndar
 
     every = np.arange(len(level))
     groups = np.array_split(every, min(len(level), BLOCKS))
-    if len(groups) < 3 or values.shape[1] < 2:
+    if len(groups) < 3 or values.shape[1] < 2 or len(level) < 2 * len(np.unique(level)):
         return Estimate(0.0, -1.0, 1.0)
     without = np.array([share(np.delete(every, group)) for group in groups])
     half = _student(len(groups) - 1) * np.sqrt((len(groups) - 1) * without.var())

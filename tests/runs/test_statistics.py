@@ -184,6 +184,17 @@ def test_of_points_drawn_at_random_the_other_parameters_are_no_effect():
     assert abs(shares[0]) < 0.15 and shares[1] == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("points", [5, 9, 12, 14, 20])
+def test_of_few_points_drawn_at_random_a_parameter_without_effect_does_not_matter(points):
+    """Of 100 sweeps in less than 5; what the other parameter does is the whole difference."""
+    rng, found = np.random.default_rng(9), []
+    for _ in range(100):
+        axes = dict(zip("ab", rng.random((2, points)), strict=True))
+        values = 3.0 * axes["b"][:, None] + rng.normal(0.0, 0.3, (points, 3))
+        found.append(_matters(False, axes, values)["a"].low > 0)
+    assert np.mean(found) < 0.05
+
+
 def test_of_points_drawn_at_random_the_interval_covers_other_draws():
     """Of 200 sweeps of 40 points and 5 seeds; the share that is true is that of 100,000 points."""
     rng = np.random.default_rng(8)
