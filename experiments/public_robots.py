@@ -29,9 +29,8 @@ import pyarrow.parquet as pq
 from humanoid_mjx import compute
 
 ROBOTS = (
-    *("go1", "go2", "aliengo", "a2", "b2", "hyqreal1", "mini_cheetah", "spot", "op3"),
-    *(f"{name}:walk_humanoid" for name in ("h1", "g1", "berkeley_humanoid", "apollo")),
-    "t1:walk_humanoid:task.rewards.schedule=0.36",
+    *("go1", "go2", "aliengo", "a2", "b2", "hyqreal1", "hyqreal2", "mini_cheetah", "pegasus", "spot", "op3"),
+    *(f"{name}:walk_humanoid" for name in ("h1", "g1", "t1", "berkeley_humanoid", "apollo")),
 )
 WALK = ["seeds=5", "total_steps=40_000_000"]
 JUDGES = {
