@@ -20,7 +20,9 @@ from humanoid_mjx.compute import made_by
 from humanoid_mjx.config import Config, apply_override, check_overrides, parse
 from humanoid_mjx.files import folder, kind_of, meant, names, refusing, whole_file
 from humanoid_mjx.learners import LEARNERS, Learner
-from humanoid_mjx.robot import ROBOTS
+from humanoid_mjx.mechanics.tree.refusing import faults
+from humanoid_mjx.robot import ROBOTS, make_robot
+from humanoid_mjx.robot.description import IMU
 from humanoid_mjx.runs.archive import HEADER, check_finite, read_archive
 from humanoid_mjx.runs.folder import read_config, read_provenance
 from humanoid_mjx.runs.ranking import ranked
@@ -150,14 +152,16 @@ def find_policy(name: Path | str, point: int | None = None, overrides: Sequence[
 
 
 def at_rest(robot: str) -> StoredPolicy:
-    """The policy that holds a robot's home posture by its servo, on the task `stand` without pushes.
+    """The policy that holds a robot's home posture by its servo, on the task `stand` without pushes; in native MuJoCo
+    where the tree cannot represent the robot.
 
     `robot`: a name, or the path of a YAML.
 
     Raises:
       InputError: there is no such robot, or it cannot stand on the ground.
     """
-    task = {"name": "stand", "robot": robot, "push": {"impulse": 0.0}}
+    physics = "mujoco" if faults(make_robot(robot).model, IMU) else "tree"
+    task = {"name": "stand", "robot": robot, "push": {"impulse": 0.0}, "physics": physics}
     learner = {"name": f"{__package__}.rest:AtRest"}
     config = parse({"name": Path(robot).stem, "task": task, "learner": learner, "total_steps": 4096}, robot)
     (group,) = make_plan(config).groups

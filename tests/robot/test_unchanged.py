@@ -16,6 +16,7 @@ import humanoid_mjx
 from humanoid_mjx import InputError, make_task
 from humanoid_mjx.commands import console
 from humanoid_mjx.commands.info import show_info
+from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.native import _team
 from humanoid_mjx.report import page
@@ -322,6 +323,20 @@ def test_an_elliptic_cone_keeps_the_softness_of_friction(tmp_path):
     assert apart(robot, tmp_path) < 1e-4
     with pytest.raises(InputError, match=r"the solreffriction of pair 'calf_0_0_point0' \(4\): take mujoco"):
         make_physics("tree", robot=robot)
+
+
+def test_a_robot_that_the_tree_refuses_stands_in_native_mujoco(tmp_path):
+    """With a tail on a ball joint, which has fewer velocities than coordinates."""
+    tail = '<body><joint type="ball"/><geom size=".02" pos="0 0 .2" mass=".2" contype="0" conaffinity="0"/></body>'
+    robot = robot_of(tmp_path, ("<freejoint/>", f"<freejoint/>{tail}"))
+    task = find_policy(tmp_path / "robot.yaml").learner.task
+    world = jax.jit(task.reset)(jax.random.key(0)).data.world
+    assert task.physics == "mujoco" and world.qvel.shape == (robot.model.nv,)
+    data = mujoco.MjData(robot.model)
+    data.qpos, data.qvel = world.qpos, world.qvel
+    mujoco.mj_step(robot.model, data)
+    world = make_physics("mujoco", robot=robot).step(world, lambda _: jnp.zeros(8))[0]
+    np.testing.assert_allclose(world.qvel, data.qvel, atol=1e-5)
 
 
 def test_a_joint_without_a_motor_that_the_keyframe_moves_is_named(tmp_path):

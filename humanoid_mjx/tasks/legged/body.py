@@ -122,7 +122,7 @@ class LeggedBody(ContinuousTask):
         free = jnp.concatenate([place, leaning_quaternion(heading, lean)])
         qpos = jnp.asarray(self.simulator.qpos0, float).at[:7].set(free)
         qpos = qpos.at[self.simulator.joint_qpos].set(self.robot.posture + spread)
-        return self.simulator.start(qpos, jnp.zeros(len(qpos) - 1))
+        return self.simulator.start(qpos, jnp.zeros(self.robot.model.nv))
 
     def on_terrain(self, world: World, terrain: Terrain, key: Key[Array, ""]) -> World:
         """A world of `start` somewhere on this terrain: upright, a foot about to touch the ground."""
