@@ -36,7 +36,7 @@ from humanoid_mjx.robot.description import (
 )
 from humanoid_mjx.robot.differences import Difference, differences
 from humanoid_mjx.robot.mirror import images
-from humanoid_mjx.robot.motors import ON_JOINTS, driven, own_drives, setpoint_limits
+from humanoid_mjx.robot.motors import ON_JOINTS, driven, joint_limits, own_drives, setpoint_limits
 from humanoid_mjx.robot.touching import add_ground, balls_of, soles_of, strip
 from humanoid_mjx.spec import InputError, Spec, known, search_folders, sentence
 
@@ -185,6 +185,10 @@ class Declared(Robot):
                 joint.springdamper = 0, 0
             joint.armature += squared * model.actuator_armature[motor]
             joint.damping[0] += squared * model.actuator_damping[motor]
+        limits = np.minimum(self.torque, joint_limits(model, source.joints)).tolist()
+        for joint in map(spec.joint, source.joints):
+            if not joint.actgravcomp:  # else the limit is one of motor and compensation together
+                joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         mujoco.mj_kinematics(model, data)
         balls = [
             (spec.body(model.body(model.geom_bodyid[contact.two]).name), contact, *ball)
@@ -203,7 +207,7 @@ class Declared(Robot):
             pair.condim, pair.friction[:2], pair.margin = min(contact.condim, 3), contact.friction, contact.margin
             pair.solref, pair.solimp, pair.solreffriction = contact.solref, contact.solimp, contact.rubbing
         spec.worldbody.first_body().add_site(mjcf.PLAIN, name="package_imu", group=3)
-        add_motors_and_imu(spec, dict(zip(source.joints, self.torque, strict=True)), "package_imu")
+        add_motors_and_imu(spec, dict(zip(source.joints, limits, strict=True)), "package_imu")
         return spec
 
 
@@ -323,7 +327,7 @@ def _understood(path: Path, text: str, file: str, content: str) -> Source:
         key = declared.home if isinstance(declared.home, str) else ""
         turn = mjcf.turn_at_home(model, key)
         torque, stiffness, damping = own_drives(model, joints)
-        torque = _by_joint("torque", declared.torque, joints, torque)
+        torque = np.minimum(_by_joint("torque", declared.torque, joints, torque), joint_limits(model, joints))
         if wrong := [joint for joint, limit in zip(joints, torque, strict=True) if not 0 < limit < inf]:
             lacks = "the model has no limit" if torque[joints.index(wrong[0])] else "the limit is 0"
             example = f"{{{mjcf.pattern(wrong[:1])}: 20}}"

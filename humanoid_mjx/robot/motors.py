@@ -59,16 +59,26 @@ def gains(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
     return found * m.actuator_gear[motor, 0] ** 2 + 0.0  # no -0
 
 
-def bounds(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
-    """Return an actuator's smallest and largest torque at its joint, N m: infinite without a limit."""
-    span, gear = np.array([-np.inf, np.inf]), m.actuator_gear[motor, 0]
+def inputs(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
+    """Return the smallest and largest control of an actuator, or activation of an integrator: infinite without."""
     kind = "act" if m.actuator_dyntype[motor] == INTEGRATOR else "ctrl"
+    free = kind == "ctrl" and m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    limited = getattr(m, f"actuator_{kind}limited")[motor] and not free
+    return getattr(m, f"actuator_{kind}range")[motor] if limited else np.array([-np.inf, np.inf])
+
+
+def bounds(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
+    """Return an actuator's smallest and largest torque at its joint, N m, within that joint's own limit; infinite
+    without any."""
+    span, gear, joint = np.array([-np.inf, np.inf]), m.actuator_gear[motor, 0], m.actuator_trnid[motor, 0]
     constant = m.actuator_gaintype[motor] == GAIN.mjGAIN_FIXED and m.actuator_biastype[motor] == BIAS.mjBIAS_NONE
-    if constant and getattr(m, f"actuator_{kind}limited")[motor]:
-        span = np.sort(m.actuator_gainprm[motor, 0] * getattr(m, f"actuator_{kind}range")[motor])
+    if constant:
+        span = np.sort(gain * inputs(m, motor)) if (gain := m.actuator_gainprm[motor, 0]) else np.zeros(2)
     if m.actuator_forcelimited[motor]:
         span = np.clip(span, *m.actuator_forcerange[motor])
-    return np.sort(gear * span) if gear else np.zeros(2)
+    span = np.sort(gear * span) if gear else np.zeros(2)
+    held = np.isin(m.actuator_trntype[motor], ON_JOINTS) and m.jnt_actfrclimited[joint]
+    return np.clip(span, *m.jnt_actfrcrange[joint]) if held else span
 
 
 def motor_limits(model: mujoco.MjModel) -> Float[np.ndarray, " motors"]:
@@ -79,7 +89,7 @@ def motor_limits(model: mujoco.MjModel) -> Float[np.ndarray, " motors"]:
 def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, "3 joints"]:
     """Return each joint's largest torque, N m, and the stiffness and damping of its acting actuators, NaN without.
 
-    The torque is the sum over actuators, without those that only damp, within the joint's own limit; infinite without.
+    The torque is the sum over actuators, without those that only damp; infinite without a limit.
     """
     found = []
     for row in (model.joint(joint).id for joint in joints):
@@ -88,12 +98,16 @@ def own_drives(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray
         limits = motor_limits(model)[motors]
         drives = (each[:, 0] != 0) | (each[:, 1] <= 0)
         torque = limits[drives if drives.any() else slice(None)].sum() if motors else np.inf
-        if model.jnt_actfrclimited[row]:
-            torque = min(torque, np.abs(model.jnt_actfrcrange[row]).max())
         stiffness, damping = each.sum(axis=0)
         held = stiffness > 0
         found.append((torque, stiffness if held else np.nan, max(damping, 0.0) if held or damping > 0 else np.nan))
     return np.array(found).T
+
+
+def joint_limits(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:
+    """Return the largest torque that each joint takes of all its actuators, N m; infinite without a limit."""
+    rows = [model.joint(joint).id for joint in joints]
+    return np.where(model.jnt_actfrclimited[rows], np.abs(model.jnt_actfrcrange[rows]).max(axis=1), np.inf)
 
 
 def setpoint_limits(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, "2 joints"]:
@@ -101,9 +115,9 @@ def setpoint_limits(model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.nd
     found = np.repeat([[-np.inf], [np.inf]], len(joints), axis=1)
     for ends, row in zip(found.T, (model.joint(joint).id for joint in joints), strict=True):
         for motor in _acting_on(model, row):
-            if model.actuator_ctrllimited[motor] and gains(model, motor)[0] > 0:
+            if (gain := model.actuator_gainprm[motor, 0]) and gains(model, motor)[0] > 0:
                 constant, slope = model.actuator_biasprm[motor, :2]
-                torques = model.actuator_gainprm[motor, 0] * model.actuator_ctrlrange[motor] + constant
+                torques = gain * inputs(model, motor) + constant
                 ends[:] = np.clip(ends, *np.sort(torques / (-slope * model.actuator_gear[motor, 0])))
     return found
 

@@ -236,7 +236,9 @@ def strip(spec: mujoco.MjSpec, feet_only: bool) -> None:
     option.disableactuator = 0
     option.iterations, option.ls_iterations = max(option.iterations, 100), max(option.ls_iterations, 50)
     option.tolerance, option.ls_tolerance = min(option.tolerance, 1e-8), min(option.ls_tolerance, 0.01)
-    option.disableflags &= ~int(off.mjDSBL_CONTACT | off.mjDSBL_ACTUATION | off.mjDSBL_CONSTRAINT)
+    option.disableflags &= ~int(
+        off.mjDSBL_CONTACT | off.mjDSBL_ACTUATION | off.mjDSBL_CONSTRAINT | off.mjDSBL_CLAMPCTRL
+    )
 
 
 def add_ground(spec: mujoco.MjSpec, model: mujoco.MjModel, soles: Sequence[Touching]) -> None:

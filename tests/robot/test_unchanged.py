@@ -444,6 +444,7 @@ def test_actuators_of_disabled_groups_do_not_count(group, torque, tmp_path):
         ['<position J kp="20" gear="-2" ctrlrange="-1 .4"/>'],
         ['<general J gainprm="40" biastype="affine" biasprm="3 -80 -2" ctrlrange="-.5 .5"/>'],
         ['<position J kp="80" inheritrange="1"/>', '<damper J kv="1" ctrlrange="0 2"/>'],
+        ['<intvelocity J kp="80" ctrlrange="-1 1" actrange="-.3 .9"/>'],
         ['<motor J ctrlrange="-1 1" gear="20"/>'],
     ],
 )
@@ -452,13 +453,15 @@ def test_set_points_end_where_those_of_the_files_actuators_end(elements, tmp_pat
     text = motors(*elements)
     robot = robot_of(tmp_path, text, yaml=f"model: base.xml\n{HOME}{FEET}{SERVO}torque: 20\n")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "base.xml"))
-    if "position" not in elements[0] and "general" not in elements[0]:
+    if "motor" in elements[0]:
         assert np.isinf(robot.setpoint_limits).all()
         return
     joint, data, rests = model.joint(robot.joints[0]), mujoco.MjData(model), []
     aims = np.flatnonzero(model.actuator_trnid[:, 0] == joint.id)[0]
     for side in -1, 1:
         data.ctrl[aims] = side * np.sign(model.actuator_gear[aims, 0]) * 50
+        data.act[:] = side * 50
+        mujoco.mj_step(model, data, min(model.na, 1))  # which brings activations within their limits
         mujoco.mj_forward(model, data)
         stiffness = -model.actuator_biasprm[aims, 1] * model.actuator_gear[aims, 0]
         rests.append(data.actuator_force[aims] / stiffness + data.qpos[joint.qposadr[0]])
@@ -484,10 +487,29 @@ def test_the_packages_motors_inherit_no_default(default, elements, yaml, torque,
     assert (robot.model.actuator_gear[:, 0] == 1).all() and not robot.model.actuator_forcelimited.any()
 
 
-def test_a_limit_of_the_joint_counts(tmp_path):
-    pair = ('range="-80 80"', 'range="-80 80" actuatorfrcrange="-7 7"'), motors('<motor J ctrlrange="-9 9"/>')
-    robot = robot_of(tmp_path, *pair, yaml=f"model: base.xml\n{HOME}{FEET}")
-    np.testing.assert_allclose(robot.torque_limits, [7, 7, 7, 7, 9, 9, 9, 9])
+@pytest.mark.parametrize("torque", ["", "torque: 20\n"])
+def test_a_limit_of_the_joint_counts(torque, tmp_path):
+    """Also for the torque of the YAML; a factor on limits acts on it as in the file."""
+    pair = ('damping=".2"', 'damping=".2" actuatorfrcrange="-3 7"'), motors('<motor J ctrlrange="-9 9"/>')
+    robot = robot_of(tmp_path, *pair, yaml=f"model: base.xml\n{HOME}{FEET}{torque}")
+    np.testing.assert_allclose(robot.torque_limits, 7)
+    assert named(robot)["actuator of"].in_file == "motor of -3 to 7 N m"
+    found = []
+    for name in "mujoco", "unmodified":
+        physics = make_physics(name, robot=robot, torque_limit=1.5)
+        world, asked = physics.start(physics.qpos0, jnp.zeros(robot.model.nv)), jnp.full(8, 100.0)
+        found.append((physics.sense(world, asked).torque, physics.step(world, lambda _, asked=asked: asked)[0].qvel))
+    for here, own in zip(*found, strict=True):
+        np.testing.assert_allclose(here, own, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(found[0][0], 10.5)
+
+
+def test_controls_that_are_not_clamped_limit_nothing(tmp_path):
+    pairs = motors('<motor J ctrlrange="-9 9"/>'), ("<option", '<option><flag clampctrl="disable"/></option><option')
+    with pytest.raises(InputError, match="torque: the model has no limit for hip_0_0"):
+        robot_of(tmp_path, *pairs, yaml=f"model: base.xml\n{HOME}{FEET}")
+    robot = make_physics("mujoco", robot=robot_of(tmp_path, *pairs)).robot
+    assert named(robot)["option disableflags"][1:] == ("clampctrl", "none")
 
 
 @pytest.mark.parametrize("element", ["<motor J/>", "<muscle J/>", '<motor J ctrlrange="-1 1" gear="0"/>'])
