@@ -399,20 +399,21 @@ def bad_timestep(seconds: float) -> str | None:
 
 def _home(home: Any, model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.ndarray, " joints"]:
     """Angles of the joints, degrees."""
-    keys, angles = [model.key(index).name for index in range(model.nkey)], np.zeros(len(joints))
+    keys, angles = [key for index in range(model.nkey) if (key := model.key(index).name)], np.zeros(len(joints))
     if isinstance(home, dict):
         angles = _by_joint("home", home, joints, angles, least=-inf)
     elif home and home not in keys:
         raise InputError(f"home: the model has no keyframe {home!r}; {known(home, keys) if keys else 'it has none'}")
     elif home:
         angles = np.degrees([model.key(home).qpos[model.joint(joint).qposadr[0]] for joint in joints])
-    for joint, angle in zip(map(model.joint, joints), angles, strict=True):
-        low, high = np.degrees(joint.range)
-        if model.jnt_limited[joint.id] and not low - SLACK_DEG <= angle <= high + SLACK_DEG:
-            default = "" if home else "; without this key all joints are at 0"
-            raise InputError(
-                f"home: {joint.name} at {angle:g} degrees is beyond its range, {low:g} to {high:g}{default}"
-            )
+    default = "" if home else "; without this key all joints are at 0"
+    rows = [model.joint(joint).id for joint in joints]
+    ranges = np.where(model.jnt_limited[rows, None], model.jnt_range[rows], [-inf, inf]).T
+    for what, ends in {"its range": ranges, "set-points of its actuators": setpoint_limits(model, joints)}.items():
+        low, high = np.degrees(ends)
+        for k in np.flatnonzero((angles < low - SLACK_DEG) | (angles > high + SLACK_DEG)):
+            within = f"{low[k]:g} to {high[k]:g}{default}"
+            raise InputError(f"home: {joints[k]} at {angles[k]:g} degrees is beyond {what}, {within}")
     return angles
 
 

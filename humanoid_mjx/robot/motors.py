@@ -29,7 +29,7 @@ def driven(model: mujoco.MjModel) -> tuple[str, ...]:
     if not names or "" in names:
         raise InputError("model: no motor drives a hinge that has a name")
     if wrong := [name for name in names if model.joint(name).type[0] != hinge]:
-        raise InputError(f"model: the motor of {wrong[0]} drives no hinge")
+        raise InputError(f"model: the motor of {wrong[0]} drives no hinge; take it out of the file")
     return names
 
 

@@ -247,6 +247,7 @@ def test_ground_that_is_no_level_plane_is_refused(pairs, words, tmp_path):
         ([], YAML.replace("]", ", foot_0_0]"), "feet: 'foot_0_0' stands there twice"),
         ([], YAML + "mirror: {x: y}", "mirror: no body, joint or geom has 'x' in its name"),
         ([], YAML + "turns: [-1, 0.5, 0.2, 1]", "turns"),
+        ([("</mujoco>", "<keyframe><key/></keyframe></mujoco>")], YAML.replace(HOME, "home: up\n"), "it has none"),
         ([('name="trunk" pos', 'name="tr\u00fcnk" pos')], YAML, "not UTF-8; save it as UTF-8"),
     ],
 )  # fmt: skip
@@ -451,7 +452,7 @@ def test_actuators_of_disabled_groups_do_not_count(group, torque, tmp_path):
 def test_set_points_end_where_those_of_the_files_actuators_end(elements, tmp_path):
     """Where native MuJoCo's actuators bring a joint to rest that is asked to go far."""
     text = motors(*elements)
-    robot = robot_of(tmp_path, text, yaml=f"model: base.xml\n{HOME}{FEET}{SERVO}torque: 20\n")
+    robot = robot_of(tmp_path, text, yaml=f'model: base.xml\nhome: {{".*": 5}}\n{FEET}{SERVO}torque: 20\n')
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "base.xml"))
     if "motor" in elements[0]:
         assert np.isinf(robot.setpoint_limits).all()
@@ -471,6 +472,12 @@ def test_set_points_end_where_those_of_the_files_actuators_end(elements, tmp_pat
         far = task.setpoint(jnp.full(len(robot.joints), side))
         expected = np.clip(side * np.pi / 2 + robot.posture[0], *rests)
         np.testing.assert_allclose(far[0], expected, rtol=1e-5)
+
+
+def test_a_posture_that_no_set_point_reaches_is_refused(tmp_path):
+    elements = motors('<position J kp="80" gear="-2" ctrlrange="-2 2"/>')
+    with pytest.raises(InputError, match=r"knee_0_0 at -70 degrees is beyond set-points of its actuators, -57.2958 to"):
+        robot_of(tmp_path, elements)
 
 
 @pytest.mark.parametrize(
