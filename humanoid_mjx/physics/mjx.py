@@ -19,7 +19,9 @@ from humanoid_mjx.control.stages import Contacts
 from humanoid_mjx.physics.base import Controller, Poses, Sensed, Velocities, World, freeze_if_diverged, where
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, below, ground_points
-from humanoid_mjx.spec import package
+from humanoid_mjx.robot.mjcf import of_field
+from humanoid_mjx.robot.touching import SURPLUS_WORDS, touching
+from humanoid_mjx.spec import InputError, package
 from humanoid_mjx.types import AnyArray
 
 with redirect_stdout(io.StringIO()):  # it prints two lines about warp
@@ -39,6 +41,13 @@ LOST = 0b11111
 NARROWPHASE, CCD."""
 
 
+IGNORED = (
+    *("jnt_springyield", "jnt_stiffnesspoly", "dof_dampingpoly", "tendon_stiffnesspoly", "tendon_dampingpoly"),
+    *("actuator_damping", "actuator_dampingpoly", "actuator_armature"),
+)
+"""Fields of a model that act where they are not 0, and that MJX in jax takes for 0."""
+
+
 class MjxJax(MujocoPhysics):
     """MJX in jax: CPU and GPU, float32 or float64."""
 
@@ -52,6 +61,17 @@ class MjxJax(MujocoPhysics):
                 "MJX could wait forever: jax already computes, with too few threads for MJX; set "
                 f"PJRT_NPROC={compute.POOL_THREADS} in the environment, or make MJX's physics before jax computes"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _computes_it(self) -> "MjxJax":
+        m = self.model
+        if self.implementation == "jax":
+            found = [words for field in IGNORED if (words := of_field(m, field, getattr(m, field, ())))]
+            found += ["noslip iterations"] * bool(m.opt.noslip_iterations)
+            found += [SURPLUS_WORDS] * any(pair.surplus for pair in touching(m))
+            if found:
+                raise ValueError(f"robot: MJX in jax does not compute {'; '.join(found)}: take mujoco")
         return self
 
     def step(self, world: World, controller: Controller) -> tuple[World, Float[Array, " joints"]]:
@@ -202,7 +222,10 @@ def _mjx_arrays(model: mujoco.MjModel, implementation: str, x64: bool) -> tuple[
     if implementation == "jax":  # forces on the corners of the feet are the solver's: see `_normal_forces`
         model.sensor_needstage[model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH] = mujoco.mjtStage.mjSTAGE_NONE
     with jax.ensure_compile_time_eval():
-        put = mjx.put_model(model, impl=implementation)
+        try:
+            put = mjx.put_model(model, impl=implementation)
+        except NotImplementedError as error:
+            raise InputError(f"physics: MJX cannot represent the robot, {error}: take mujoco.") from error
         if implementation == "warp":  # it would print a line for each world and step; see `LOST`
             put = put.tree_replace({"opt._impl.warn_overflow": 0})
         data = mjx.make_data(model, impl=implementation) if implementation == "jax" else None

@@ -14,6 +14,7 @@ from humanoid_mjx.spec import InputError, known
 FLAGS, GEOM = mujoco.mjtDisableBit, mujoco.mjtGeom
 NO_CONTACTS = int(FLAGS.mjDSBL_CONSTRAINT | FLAGS.mjDSBL_CONTACT)
 SURPLUS = "gap", "adhesion"
+SURPLUS_WORDS = "a gap, adhesion or surface velocity of contacts"
 
 CORNER = 0.25
 """Largest radius of the balls in a box's corners, as a share of half its shorter side."""

@@ -316,6 +316,22 @@ def test_mjx_feels_a_foot(cone, condim, tmp_path):
     assert forces[0] > 1
 
 
+@pytest.mark.parametrize(
+    ("pair", "words"),
+    [
+        (('damping=".2"', 'damping=".2" stiffness="5 30"'), r"the stiffnesspoly of joint 'hip_0_0' .8.: take mujoco"),
+        (("<option", '<option noslip_iterations="3"'), "does not compute noslip iterations: take mujoco"),
+        (contact('<pair geom1="trunk" geom2="foot_FOOT" adhesion="3"/>'), "does not compute a gap, adhesion or"),
+        (("<option", '<option><flag override="enable"/></option><option'), "MJX cannot represent the robot, mjtEna"),
+    ],
+)
+def test_mjx_refuses_what_it_does_not_compute(pair, words, tmp_path):
+    robot = robot_of(tmp_path, pair, yaml=f"{YAML}contacts: model\n")
+    with pytest.raises(InputError, match=words):
+        physics = make_physics("mjx-jax", robot=robot)
+        physics.step(physics.start(physics.qpos0, jnp.zeros(robot.model.nv)), lambda _: jnp.zeros(8))
+
+
 def test_an_elliptic_cone_keeps_the_softness_of_friction(tmp_path):
     """`solreffriction` of a pair, which acts in elliptic cones alone; the tree has none and says so."""
     pairs = [contact('<pair geom1="floor" geom2="foot_FOOT" friction=".3 .3" solreffriction=".2 1"/>')]

@@ -13,7 +13,7 @@ import numpy as np
 
 from humanoid_mjx.robot.description import below
 from humanoid_mjx.robot.mjcf import A_NUMBER, any_of_rows, no_numbers, of_field
-from humanoid_mjx.robot.touching import FLAGS, Touching, a, kind_of, named, pairs_of, touching, word
+from humanoid_mjx.robot.touching import FLAGS, SURPLUS_WORDS, Touching, a, kind_of, named, pairs_of, touching, word
 
 JOINT = mujoco.mjtJoint
 
@@ -197,7 +197,7 @@ def _of_pair(m: mujoco.MjModel, data: mujoco.MjData, pair: Touching) -> Iterator
     if pair.condim not in (1, 3):
         yield "contacts that resist twisting or rolling", 'condim="3"'
     if pair.surplus:
-        yield "a gap, adhesion or surface velocity of contacts", "gap, adhesion and surfacevel 0"
+        yield SURPLUS_WORDS, "gap, adhesion and surfacevel 0"
     if _mixed_signs(pair.solref):
         yield "a solref of which one value is positive", ONE_SIGN
 
