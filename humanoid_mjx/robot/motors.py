@@ -27,7 +27,8 @@ def driven(model: mujoco.MjModel) -> tuple[str, ...]:
     joints = model.actuator_trnid[of_joint, 0] if on.any() else np.flatnonzero(model.jnt_type == hinge)
     names = tuple(dict.fromkeys(model.joint(int(joint)).name for joint in joints))
     if not names or "" in names:
-        raise InputError("model: no motor drives a hinge that has a name")
+        wanted = 'a joint that moves has no name; write name="..." into it' if names else "it has no hinge"
+        raise InputError(f"model: {wanted}")
     if wrong := [name for name in names if model.joint(name).type[0] != hinge]:
         raise InputError(f"model: the motor of {wrong[0]} drives no hinge; take it out of the file")
     return names

@@ -247,6 +247,7 @@ def test_ground_that_is_no_level_plane_is_refused(pairs, words, tmp_path):
         ([], YAML.replace("]", ", foot_0_0]"), "feet: 'foot_0_0' stands there twice"),
         ([], YAML + "mirror: {x: y}", "mirror: no body, joint or geom has 'x' in its name"),
         ([], YAML + "turns: [-1, 0.5, 0.2, 1]", "turns"),
+        ([('name="hip" ', "")], YAML, "model: a joint that moves has no name; write name="),
         ([("</mujoco>", "<keyframe><key/></keyframe></mujoco>")], YAML.replace(HOME, "home: up\n"), "it has none"),
         ([('name="trunk" pos', 'name="tr\u00fcnk" pos')], YAML, "not UTF-8; save it as UTF-8"),
     ],
