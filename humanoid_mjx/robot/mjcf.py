@@ -74,6 +74,7 @@ def read_spec(file: str) -> tuple[mujoco.MjSpec, int]:
         cure = "docs/your_robot.md (From a URDF) has a script that writes an MJCF of it"
         raise InputError(f"model: {Path(file).name} is a URDF, without a free joint and motors; {cure}.")
     spec, gone = mujoco.MjSpec.from_file(file), {}
+    spec.compiler.discardvisual = False  # else it discards what no longer touches anything here
     folder, paired = Path(file).parent / spec.meshdir, {name for p in spec.pairs for name in (p.geomname1, p.geomname2)}
     for mesh in spec.meshes:
         name = Path(mesh.file).name if spec.strippath else mesh.file

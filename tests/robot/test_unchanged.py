@@ -402,6 +402,11 @@ def test_masses_joints_and_options_are_those_of_the_file(tmp_path):
     assert robot.model.opt.density == 3 and robot.model.opt.gravity[2] == -5
 
 
+def test_a_file_that_discards_looks_keeps_those_of_shapes_that_touch_nothing_here(tmp_path):
+    pair = "<option", '<compiler discardvisual="true"/><option'
+    assert robot_of(tmp_path, pair).model.ngeom == robot_of(tmp_path).model.ngeom
+
+
 def test_every_element_that_the_package_adds_has_an_empty_default_class():
     """Elements of kinds that have default classes; models that the package writes itself have none."""
     found = 0
