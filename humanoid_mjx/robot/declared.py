@@ -411,7 +411,7 @@ def _home(home: Any, model: mujoco.MjModel, joints: Sequence[str]) -> Float[np.n
     ranges = np.where(model.jnt_limited[rows, None], model.jnt_range[rows], [-inf, inf]).T
     for what, ends in {"its range": ranges, "set-points of its actuators": setpoint_limits(model, joints)}.items():
         low, high = np.degrees(ends)
-        for k in np.flatnonzero((angles < low - SLACK_DEG) | (angles > high + SLACK_DEG)):
+        for k in np.flatnonzero((angles < low - SLACK_DEG) | (angles > high + SLACK_DEG)).tolist():
             within = f"{low[k]:g} to {high[k]:g}{default}"
             raise InputError(f"home: {joints[k]} at {angles[k]:g} degrees is beyond {what}, {within}")
     return angles
