@@ -201,6 +201,8 @@ def rollout(
         kinds = f"{type(task).__name__} and {type(policy).__name__}"
         raise InputError(f"rollout: write rollout(task, policy or function, key(0)); the first two are {kinds}.")
     check_key("rollout", key)
+    if not isinstance(discount, int | float | Array | np.generic | np.ndarray) or np.shape(discount):
+        raise InputError(f"rollout: discount must be a number, got {shown(discount)}.")
     episode, action = _rollout(task, policy if isinstance(policy, Policy) else Partial(policy), key, discount)
     env = as_continuous(task)
     allowed = env.allows(action)

@@ -5,6 +5,7 @@ attitude, keeps the gait's clock, builds the observation, and returns set-points
 """
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,10 @@ def write_onnx(trained: StoredPolicy, file: Path) -> list[Path]:
 def write_contract(contract: dict[str, Any], file: Path) -> Path:
     """Write a contract beside the file of a policy, and return the JSON's path."""
     path = file.with_suffix(".json")
+    with suppress(OSError, ValueError):
+        before = json.loads(path.read_text(encoding="utf-8"))
+        if before == contract | {"controller": before.get("controller")}:  # of the same policy as ONNX
+            contract = before
     write_json(path, contract, indent=1)
     return path
 

@@ -123,7 +123,7 @@ class Plan:
         if most > 1 and (points < most or self.budget < most * least):
             raise InputError(
                 f"sweep.rungs: {len(factors)} rungs with eta {factors[1]} need {most:,} points and {most * least:,} "
-                f"{self.unit}s, and there are {points:,} points and {self.budget:,} {self.unit}s; take fewer rungs."
+                f"{self.unit}s, and the sweep has {points:,} and {self.budget:,}; take fewer rungs."
             )
         return [Rung(self.budget * on // most, points // on) for on in factors]
 

@@ -143,6 +143,8 @@ def sweep(
         raise InputError(f"sweep: config must be a config, its name or path, or a mapping of its keys, got {config!r}.")
     if pool_size is not None:
         check_count("sweep: pool_size", pool_size, 1)
+    if not isinstance(reporter, Reporter | None):
+        raise InputError(f"sweep: reporter must be a Reporter, got {reporter!r}.")
     if isinstance(trackers, str) or not isinstance(trackers, Sequence):
         raise InputError(f'sweep: trackers must be a list such as ["tensorboard"], got {trackers!r}.')
     check_later(config)  # before anything trains

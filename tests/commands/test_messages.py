@@ -145,6 +145,25 @@ def test_a_short_list_of_names_is_whole_and_a_long_one_is_not():
     assert words.endswith(" and 95 more: humanoid-mjx info shows them")
 
 
+LEG = """<body name="{0}_thigh" pos="0 {1} 0"><joint name="{0}_hip" axis="1 0 0" range="-40 40"/><geom size=".03"/>
+<geom name="{0}_foot" size=".03" pos="0 0 -.3"/></body>"""
+
+
+def test_what_is_no_mirror_image_is_said(said, tmp_path):
+    """Hips turn about x, so a leg's image is at the negative angle."""
+    legs = LEG.format("r", -0.1) + LEG.format("l", 0.1)
+    body = MJCF[: MJCF.index('<body name="foot"')] + legs + "</body></worldbody></mujoco>"
+    (tmp_path / "two.xml").write_text(body)
+    for home, words in (
+        ({".*_hip": 10}, "mirror    home of r_hip is 10; by its image l_hip it would be -10"),
+        ({"r.*": 10, "l.*": -10}, None),
+    ):
+        declared = {"model": "two.xml", "feet": ["r_foot", "l_foot"], "home": home, "torque": 20, "mirror": {"r": "l"}}
+        (tmp_path / "two.yaml").write_text(json.dumps(declared))
+        _, out, _ = said("info", str(tmp_path / "two.yaml"))
+        assert words in out if words else "mirror    " not in out
+
+
 @pytest.mark.parametrize(
     ("name", "words"), [("lower_body", "4 points each"), ("leg", "5 joints"), ("deep_q", "layers")]
 )

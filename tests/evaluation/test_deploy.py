@@ -216,6 +216,8 @@ def test_the_contract_is_that_of_the_robot_and_in_every_file(tmp_path):
     export("walk", tmp_path / "c.c")
     of_c = json.loads((tmp_path / "c.json").read_text())
     assert of_c == {key: value for key, value in contract.items() if key != "controller"}
+    export("walk", tmp_path / "walk.c")  # beside the graphs, whose controller the contract goes on to describe
+    assert json.loads((tmp_path / "walk.json").read_text()) == contract
 
 
 def test_limits_of_set_points_are_null_where_there_is_none(tmp_path):
