@@ -127,7 +127,7 @@ BAD = {
     "random without points": ("sweep:", "sweep:\n  mode: random", ["sweep", "points"]),
     "a grid with rungs": ("sweep:", "sweep:\n  rungs: 3", ["rungs belongs to mode halving and has no meaning"]),
     "halving without a rest": ("sweep:", "sweep:\n  mode: halving\n  eta: 1", ["sweep.eta must be at least 2, got 1"]),
-    "halving of too few points": ("sweep:", "sweep:\n  mode: halving", ["4 rungs with eta 3 need 27 points", "has 2 and 20"]),
+    "halving of too few points": ("sweep:", "sweep:\n  mode: halving", ["4 rungs with eta 3 need 27 points", "has 2"]),
     "halving of too few episodes": (
         "sweep:", "sweep:\n  mode: halving\n  points: 27", ["27 episodes, and the sweep has 27 and 20"]
     ),
