@@ -1,7 +1,7 @@
 # pyright: reportAttributeAccessIssue=false
 """Compare robots that others publish on `physics: tree` with native MuJoCo.
 
-    pip install -q --no-deps --target others dm_control mjlab playground mujoco-warp
+    pip install -q --no-deps --target others dm_control mjlab 'playground<1' mujoco-warp
     PYTHONPATH=others python experiments/other_robots.py       # adds to docs/bench/other_robots.json, in 10 minutes
     python experiments/other_robots.py gymnasium/ant my_robot.xml --out /tmp/found.json
 

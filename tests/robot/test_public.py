@@ -16,7 +16,7 @@ from humanoid_mjx import InputError
 from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.files import folder, names
 from humanoid_mjx.report.scene import make_scene
-from humanoid_mjx.robot import make_robot
+from humanoid_mjx.robot import make_robot, mjcf
 from humanoid_mjx.robot.holding import in_words, standing, tipping
 
 TEXTS = {name: (folder("robots") / f"{name}.yaml").read_text() for name in names("robots", ".yaml")}
@@ -55,7 +55,7 @@ def test_a_missing_package_is_named_with_what_brings_it(tmp_path):
 @pytest.mark.parametrize("name", ["walk_go1", "walk_g1"])
 def test_policies_of_public_robots_ship_and_name_the_package_that_they_need(name):
     if importlib.util.find_spec("mujoco_playground") is None:
-        with pytest.raises(InputError, match=r"the package 'mujoco_playground' .* pip install playground"):
+        with pytest.raises(InputError, match=r"the package 'mujoco_playground' .* pip install 'playground<1' brings"):
             find_policy(name)
         return
     assert find_policy(name).learner.task.robot.name == name.removeprefix("walk_")
@@ -98,6 +98,9 @@ def test_a_model_lies_in_a_package_whose_code_stays_idle(tmp_path, monkeypatch):
     robot = make_robot(written(tmp_path, model="package:my_models/dogs/robot.xml"))
     np.testing.assert_array_equal(robot.soles, make_robot(written(tmp_path)).soles)
     with pytest.raises(InputError, match=r"robot.yaml: .*my_models/cats.xml cannot be read: No such file"):
+        make_robot(written(tmp_path, model="package:my_models/cats.xml"))
+    monkeypatch.setitem(mjcf.DISTRIBUTIONS, "my_models", "'my-models<1'")  # a later version has its models elsewhere
+    with pytest.raises(InputError, match=r"'my_models' has no cats.xml; pip install 'my-models<1' brings the version"):
         make_robot(written(tmp_path, model="package:my_models/cats.xml"))
 
 
