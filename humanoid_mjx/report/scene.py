@@ -90,7 +90,9 @@ def make_scene(model: mujoco.MjModel, qpos: Float[AnyArray, "frames nq"], terrai
     rows, data = np.asarray(qpos, np.float64), mujoco.MjData(model)
     planes, frames = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, []
     solid, grounded = np.flatnonzero(~planes).tolist(), bool(planes.any())
-    shown = [g for g in solid if model.geom_group[g] < VISIBLE_GROUPS] or solid
+    shown = [g for g in solid if model.geom_group[g] < VISIBLE_GROUPS]
+    if not {*model.geom_bodyid[shown]} >= {1} & {*model.geom_bodyid[solid]}:  # the looks of the torso are not there
+        shown = solid
     for row in rows:
         data.qpos = row
         mujoco.mj_kinematics(model, data)
