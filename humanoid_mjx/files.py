@@ -173,12 +173,13 @@ KINDS = {
     "policy": "a policy: humanoid-mjx play {0} shows it",
     "model": "an MJCF: humanoid-mjx info {0} shows it, and a YAML beside it with the keys model and feet "
     "makes it a robot (docs/your_robot.md)",
+    "urdf": "a URDF: humanoid-mjx info {0} says how it becomes an MJCF",
     "run": "a run folder: humanoid-mjx report {0} shows it, and "
     "humanoid-mjx sweep {0}/config.yaml --out {0} --resume completes it",
 }
 """Kinds of things that a name stands for, with the words to type."""
 
-ENDINGS = {".yaml": "config", ".yml": "config", ".npz": "policy", ".xml": "model"}
+ENDINGS = {".yaml": "config", ".yml": "config", ".npz": "policy", ".xml": "model", ".urdf": "urdf"}
 
 
 def kind_of(path: Path) -> str | None:

@@ -87,14 +87,15 @@ def _show_robot(name: str) -> None:
         rows.append((joint, f"{low:.0f} to {high:.0f}" if limited[k] else "", home, torque, stiffness, damping, image))
     _print_rows(f"{name}: {len(robot.joints)} joints", rows)
     lines = {"feet": ", ".join(robot.feet), "mass": f"{robot.mass:.3g} kg"}
+    uneven = []
     gains = zip(("stiffness", "damping"), robot.servo or (), strict=False)
     for what, values in {"home": np.degrees(robot.posture), "torque": robot.torque_limits, **dict(gains)}.items():
         asked = values[order] * (signs if what == "home" else 1.0)
-        if robot.mirror and len(odd := np.flatnonzero(~np.isclose(values, asked, rtol=0.01, atol=0.01))):
-            one, other = (robot.joints[k] for k in (odd[0], order[odd[0]]))
-            lines["mirror"] = (
-                f"{what} of {one} is {values[odd[0]]:g}; by its image {other} it would be {asked[odd[0]]:g}"
-            )
+        for k in np.flatnonzero(~np.isclose(values, asked, rtol=0.01, atol=0.01))[: bool(robot.mirror)]:
+            image = f"by its image {robot.joints[order[k]]} it would be {asked[k]:g}"
+            uneven.append(f"{what} of {robot.joints[k]} is {values[k]:g}; {image}")
+    if uneven:
+        lines["mirror"] = "\n          ".join(uneven)
     if robot.points:
         turns = zip(robot.feet, robot.phases, strict=True)
         lines["feet"] += f"; {counted(robot.points, 'point')} each"

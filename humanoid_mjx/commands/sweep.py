@@ -46,6 +46,7 @@ def run_sweep(
 
         engine = partial(OnRay, address=ray)
     compute.start(mjx="mjx-jax" in loaded.physics)
+    from humanoid_mjx.training.chunks import Here
     from humanoid_mjx.training.sweep import check_later, sweep_first  # once a config is there: half a second
     from humanoid_mjx.training.trackers import Tracking
 
@@ -58,7 +59,7 @@ def run_sweep(
     ):
         try:
             watch = [*tracking.watch, *([growing.watch] if growing else [])]
-            run = sweep_first(loaded, out, resume, reporter=growing or bar, watch=watch, engine=engine)
+            run = sweep_first(loaded, out, resume, engine or Here, nullcontext(growing or bar), watch=watch)
         except KeyboardInterrupt:
             console.print("Stopped. What is finished is stored; the same command with --resume completes it.")
             raise typer.Exit(130) from None

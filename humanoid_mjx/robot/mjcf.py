@@ -70,7 +70,8 @@ def read_spec(file: str) -> tuple[mujoco.MjSpec, int]:
     Raises:
       InputError: it is a URDF, or such a shape touches something or has a mass.
     """
-    if "<robot" in Path(file).read_text(encoding="utf-8", errors="replace"):
+    text = re.sub(r"<!--.*?-->", "", Path(file).read_text(encoding="utf-8", errors="replace"), flags=re.DOTALL)
+    if re.match(r"[^<]*(<\?[^>]*>\s*)?<robot\b", text):
         cure = "docs/your_robot.md (From a URDF) has a script that writes an MJCF of it"
         raise InputError(f"model: {Path(file).name} is a URDF, without a free joint and motors; {cure}.")
     spec, gone = mujoco.MjSpec.from_file(file), {}
@@ -118,16 +119,15 @@ def place_of(model: str, beside: Path) -> Path:
         return beside.parent / model
     package, _, path = model.removeprefix("package:").partition("/")
     found = importlib.util.find_spec(package) if package.isidentifier() else None
-    folders = found and found.submodule_search_locations
-    place = Path(next(iter(folders))) / path if folders else None
-    if place is None or (package in DISTRIBUTIONS and not place.is_file()):
-        brings = f"pip install {DISTRIBUTIONS.get(package, package)} brings"
-        lacks = (
-            f"has no {path}; {brings} the version with the robots that ship"
-            if place
-            else f"is not installed; {brings} it"
-        )
-        raise InputError(f"{beside.name}: model: the package {package!r} {lacks}.")
+    what, brings = (
+        f"{beside.name}: model: the package {package!r}",
+        f"pip install {DISTRIBUTIONS.get(package, package)} brings",
+    )
+    if found is None or not found.submodule_search_locations:
+        raise InputError(f"{what} is not installed; {brings} it.")
+    place = Path(next(iter(found.submodule_search_locations))) / path
+    if package in DISTRIBUTIONS and not place.is_file():
+        raise InputError(f"{what} has no {path}; {brings} the version with the robots that ship.")
     return place
 
 

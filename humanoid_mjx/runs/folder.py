@@ -89,8 +89,8 @@ class RunFolder:
         with refusing(path):
             run = cls(path, _lock(path, shared), stored)
         moved = config["learner"].get("start_from") == str(path.parent)  # `then` of a folder that stands elsewhere now
-        begun = "then" in stored
-        may = {"modules", *(["learner.start_from"] if moved else []), *([] if begun else ["then"])}
+        goes_on = "then" in stored
+        may = {"modules", *(["learner.start_from"] if moved else []), *([] if goes_on else ["then"])}
         if changed := [key for key in _differences(stored, dict(config)) if key not in may]:
             run.close()
             first = min(changed, key="chunk".__eq__)  # its default follows from the others
@@ -98,7 +98,7 @@ class RunFolder:
                 f"{path}: was made with another config ({first} differs); "
                 "resume with the same values, or choose another place with out=PATH."
             )
-        if "then" in config and not begun:
+        if "then" in config and not goes_on:
             with refusing(path):
                 write_text(path / "config.yaml", dump_yaml(stored | {"then": config["then"]}))
         for left_by_a_kill in () if shared else path.rglob(".new-*"):

@@ -1,8 +1,9 @@
 """Run a sweep: train every point into a run folder that can be resumed."""
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, nullcontext
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from html import escape
 from pathlib import Path
 from types import NoneType
@@ -148,10 +149,15 @@ def sweep(
     if isinstance(trackers, str) or not isinstance(trackers, Sequence):
         raise InputError(f'sweep: trackers must be a list such as ["tensorboard"], got {trackers!r}.')
     check_later(config)  # before anything trains
-    run = last = sweep_first(config, out, resume, pool_size, reporter, quiet, trackers, watch, engine)
+
+    def first(config: Config, out: Path | str | None, resume: bool) -> Run:
+        shown = nullcontext(reporter or Reporter()) if reporter or quiet else reporting()
+        return sweep_first(config, out, resume, engine or partial(Here, pool_size=pool_size), shown, trackers, watch)
+
+    run = last = first(config, out, resume)
     while later := last.config.later(last.path):
         out = last.path / THEN
-        last = sweep_first(later, out, resume and out.exists(), pool_size, reporter, quiet, trackers, watch, engine)
+        last = first(later, out, resume and out.exists())
     return run
 
 
@@ -159,18 +165,16 @@ def sweep_first(
     config: Config,
     out: Path | str | None,
     resume: bool,
-    pool_size: int | None = None,
-    reporter: Reporter | None = None,
-    quiet: bool = False,
+    engine: EngineOf,
+    shown: AbstractContextManager[Reporter],
     trackers: Sequence[str | Tracker] = (),
     watch: Sequence[Callable[[RunFolder, Plan], Curves]] = (),
-    engine: EngineOf | None = None,
 ) -> Run:
-    """Train as `sweep` does, but not on in the world of `then`."""
+    """Train as `sweep` does, but not on in the world of `then`; `shown` opens what is told of the progress."""
     plan = make_plan(config)
     with (
-        closing(engine(plan) if engine else Here(plan, pool_size)) as trainer,
-        nullcontext(reporter or Reporter()) if reporter or quiet else reporting() as speaker,
+        closing(engine(plan)) as trainer,
+        shown as speaker,
         Tracking(trackers, speaker.note) as tracking,
         closing(open_folder(out, plan, resume, trainer.at_once)) as folder,
     ):

@@ -95,6 +95,9 @@ TYPED = {
     "info dog.yaml": "but dog is one",
     "play walk --out cart_pole.yaml/y.gif": "cart_pole.yaml is a file and no folder",
     "sweep cart_pole.yaml --out cart_pole.yaml/y": "a file stands where a folder is wanted",
+    "sweep leg.urdf": "it is a URDF: humanoid-mjx info leg.urdf says how it becomes an MJCF",
+    "sweep stand --set task.robot=leg.urdf": "it is a URDF: humanoid-mjx info leg.urdf says",
+    "play leg.urdf": "it is a URDF: humanoid-mjx info leg.urdf says",
     "info leg.urdf": "leg.urdf is a URDF, without a free joint and motors; docs/your_robot.md (From a URDF)",
     "info urdf.yaml": "urdf.yaml: model: leg.urdf is a URDF, without a free joint and motors; docs/your_robot.md",
     "info lower_bodx": "did you mean 'lower_body'?",
@@ -153,7 +156,7 @@ def test_what_is_no_mirror_image_is_said(said, tmp_path):
     """Hips turn about x, so a leg's image is at the negative angle."""
     legs = LEG.format("r", -0.1) + LEG.format("l", 0.1)
     body = MJCF[: MJCF.index('<body name="foot"')] + legs + "</body></worldbody></mujoco>"
-    (tmp_path / "two.xml").write_text(body)
+    (tmp_path / "two.xml").write_text(f"<!-- once <robot name='two'/> --> {body}")  # which makes it no URDF
     for home, words in (
         ({".*_hip": 10}, "mirror    home of r_hip is 10; by its image l_hip it would be -10"),
         ({"r.*": 10, "l.*": -10}, None),

@@ -115,7 +115,7 @@ def test_a_push_on_the_torso_gives_its_impulse(physics):
         (
             "mujoco",
             {"robot": "arm"},
-            "physics.robot.name: unknown robot 'arm'; known are a2, apollo, ",
+            "physics.robot.name: unknown robot 'arm'; known are a2, apollo, pegasus, berkeley_humanoid, aliengo",
         ),
         ("mujoco", {"robot": {"ranges": "wide"}}, "physics.robot.ranges must be one of 'proposed' or 'human', "),
         ("mjx-jax", {"timestep": 0.0}, "physics.timestep must be at least 1e-06, got 0.0."),
