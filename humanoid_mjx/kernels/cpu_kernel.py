@@ -1,4 +1,4 @@
-"""A function of many worlds as one function of a CPU, which computes `WIDTH` worlds at a time in its vectors.
+"""A function of many worlds as one function of a CPU, which computes a vector of worlds at a time.
 
 XLA makes some four hundred kernels of a Newton step, and starting them takes as long as what they compute. Here what a
 GPU's threads would do is compiled by LLVM, and XLA calls it through its foreign function interface.
@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from humanoid_mjx.files import read_sealed, write_sealed
-from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, type_of
+from humanoid_mjx.kernels.llvm import Code, Value, together
 from humanoid_mjx.kernels.llvm_lowering import lower
 from humanoid_mjx.kernels.llvm_memory import Words
 from humanoid_mjx.kernels.memory import bits
@@ -40,15 +40,15 @@ def cpu_kernel(function: Callable[..., Any], *args: Any) -> Any:
     leaves, structure = jax.tree.flatten(args)
     known = signature(function, structure, tuple(Kind(leaf.shape[:-1], leaf.dtype) for leaf in leaves), False)
     worlds = leaves[0].shape[-1]
-    if (missing := WIDTH - worlds) > 0:  # the last world fills up a vector
+    if (missing := together(worlds) - worlds) > 0:  # the last world fills up a vector
         leaves = [jnp.concatenate([leaf, *[leaf[..., -1:]] * missing], axis=-1) for leaf in leaves]
-    found, _ = call(known, leaves, max(worlds, WIDTH))
+    found, _ = call(known, leaves, max(worlds, together(worlds)))
     return jax.tree.unflatten(jax.tree.structure(known.shapes), [x[..., :worlds] for x in found])
 
 
 def call(known: Signature, leaves: Sequence[Array], worlds: int) -> tuple[list[Array], list[Kind]]:
     """Call a function; `leaves`: its arguments in the form of their kinds. Return its results, and their kinds."""
-    code, found, in_place = written(known)
+    code, found, in_place = written(known, together(worlds))
     wanted = [jax.ShapeDtypeStruct(kind.of_all(worlds), kind.dtype) for kind in found]
     function = jax.ffi.ffi_call(_compiled_of(code), wanted, input_output_aliases=in_place)
     return [*function(*leaves, jnp.int32(worlds))], found
@@ -142,9 +142,10 @@ def _machine() -> str:
 
 
 @lru_cache
-def written(known: Signature) -> tuple[str, list[Kind], dict[int, int]]:
-    """LLVM's code of a function, the kinds of its results, and arguments in whose place results are, see `evaluate`."""
-    code, found, in_place = Code(), [], {}
+def written(known: Signature, width: int) -> tuple[str, list[Kind], dict[int, int]]:
+    """LLVM's code of a function, of so many worlds at a time; the kinds of its results; and arguments in whose place
+    results are, see `evaluate`."""
+    code, found, in_place = Code(width), [], {}
 
     def results(numbers: Sequence[Array]) -> list[Array]:
         threads = Threads(known.single, Words, lambda _, table: Words(tuple(map(bits, table)), 0))
@@ -163,11 +164,11 @@ def written(known: Signature) -> tuple[str, list[Kind], dict[int, int]]:
         for table, number in code.tables.items()
     ]
     memory = [
-        f"  %region{number} = alloca [{words * WIDTH} x i32], align {4 * WIDTH}"
+        f"  %region{number} = alloca [{words * width} x i32], align {4 * width}"
         for number, words in code.regions.items()
     ]
     lines = [*tables, *sorted(code.declared), BLOCK, *memory, *code.lines, "  ret void\n}"]
-    lines.append(CALL.replace("COUNT", str(len(known.given))))
+    lines.append(CALL.replace("COUNT", str(len(known.given))).replace("WIDTH", str(width)))
     return "\n".join(lines), found, in_place
 
 
@@ -176,8 +177,8 @@ define internal void @block(ptr noalias %given, ptr noalias %found, i64 %worlds,
 entry:"""
 """Begin of what computes worlds from `first` on; `given` and `found`: descriptions of arrays (XLA_FFI_Buffer)."""
 
-CALL = f"""
-define ptr @call(ptr %frame) {{
+CALL = """
+define ptr @call(ptr %frame) {
 entry:
   %extension_at = getelementptr i8, ptr %frame, i64 8
   %extension = load ptr, ptr %extension_at
@@ -207,18 +208,18 @@ compute:
   %number = load ptr, ptr %number_at
   %worlds32 = load i32, ptr %number
   %worlds = sext i32 %worlds32 to i64
-  %last = sub i64 %worlds, {WIDTH}
+  %last = sub i64 %worlds, WIDTH
   br label %again
 again:
   %begin = phi i64 [ 0, %compute ], [ %next, %again ]
   %first = call i64 @llvm.smin.i64(i64 %begin, i64 %last)
   call void @block(ptr %given, ptr %found, i64 %worlds, i64 %first)
-  %next = add i64 %begin, {WIDTH}
+  %next = add i64 %begin, WIDTH
   %more = icmp slt i64 %next, %worlds
   br i1 %more, label %again, label %end
 end:
   ret ptr null
-}}
+}
 declare i64 @llvm.smin.i64(i64, i64)
 """
 """Function that XLA calls, an `XLA_FFI_Handler`. Offsets are those of the structs in `LAYOUT`. If XLA asks for the
@@ -281,15 +282,14 @@ def _places(code: Code, arrays: str, kinds: Sequence[Kind]) -> list[Value]:
 
 def _loaded(code: Code, at: Value) -> Value:
     flags = at.dtype.kind == "b"
-    kind = type_of(at.dtype, at.uniform).replace("i1", "i8")  # flags are bytes there
+    kind = code.type_of(at.dtype, at.uniform).replace("i1", "i8")  # flags are bytes there
     name = code.value(f"load {kind}, ptr {at.name}, align {1 if flags else 4}")
-    return replace(at, name=code.value(f"trunc {kind} {name} to {at.type}") if flags else name)
+    return replace(at, name=code.value(f"trunc {kind} {name} to {code.type_of(bool, at.uniform)}") if flags else name)
 
 
 def _stored(code: Code, value: Value, at: Value) -> None:
-    name, place = code.vector(value), at.name
-    if value.dtype.kind != "b":
-        code.add(f"store {type_of(value.dtype, False)} {name}, ptr {place}, align 4")
-        return
-    flags = code.value(f"zext <{WIDTH} x i1> {name} to <{WIDTH} x i8>")
-    code.add(f"store <{WIDTH} x i8> {flags}, ptr {place}, align 1")
+    name, kind = code.vector(value), code.type_of(value.dtype)
+    if flags := value.dtype.kind == "b":
+        stored = kind.replace("i1", "i8")
+        kind, name = stored, code.value(f"zext {kind} {name} to {stored}")
+    code.add(f"store {kind} {name}, ptr {at.name}, align {1 if flags else 4}")

@@ -12,8 +12,13 @@ from typing import Any
 import numpy as np
 
 WIDTH = 16
-"""Worlds that are computed together: floats of a vector of AVX-512. LLVM splits vectors for processors with shorter
-ones."""
+"""Worlds that are computed together, if there are several: floats of a vector of AVX-512. LLVM splits vectors for
+processors with shorter ones."""
+
+
+def together(worlds: int) -> int:
+    """Return how many of so many worlds are computed together."""
+    return 1 if worlds == 1 else WIDTH
 
 
 @dataclass(frozen=True)
@@ -23,20 +28,16 @@ class Value:
     name: str
     dtype: np.dtype
     uniform: bool
-    """True for a scalar, which is the same in all worlds."""
-
-    @property
-    def type(self) -> str:
-        return type_of(self.dtype, self.uniform)
+    """True if it is the same in all worlds."""
 
 
 @cache
-def type_of(dtype: Any, uniform: bool) -> str:
-    """LLVM's type of a scalar, or of a vector."""
+def type_of(dtype: Any, numbers: int = 1) -> str:
+    """LLVM's type of a scalar, or of a vector of so many."""
     kind = {"bool": "i1", "int32": "i32", "uint32": "i32", "float32": "float"}.get(np.dtype(dtype).name)
     if kind is None:
         raise NotImplementedError(f"kernels know no {dtype}")
-    return kind if uniform else f"<{WIDTH} x {kind}>"
+    return kind if numbers == 1 else f"<{numbers} x {kind}>"
 
 
 def known(number: Any, dtype: Any) -> Value:
@@ -53,6 +54,8 @@ def known(number: Any, dtype: Any) -> Value:
 class Code:
     """LLVM code under construction."""
 
+    width: int = WIDTH
+    """Worlds that it computes together; the numbers of one world are scalars."""
     lines: list[str] = field(default_factory=list)
     numbers: Any = field(default_factory=count)
     label: str = "entry"
@@ -83,12 +86,16 @@ class Code:
             return ""
         return self.value(f"call {'nsz contract ' * ('float' in result)}{call}")
 
+    def type_of(self, dtype: Any, uniform: bool = False) -> str:
+        """LLVM's type of a number for each world, or of one for all."""
+        return type_of(dtype, 1 if uniform else self.width)
+
     def vector(self, value: Value, uniform: bool = False) -> str:
-        """The name of a value as a vector; if `uniform`, as the scalar that it is."""
-        if uniform or not value.uniform:
+        """The name of a value as a number for each world; if `uniform`, as the scalar that it is."""
+        if uniform or not value.uniform or self.width == 1:
             return value.name
+        one, whole = type_of(value.dtype), self.type_of(value.dtype)
         if value.name[0] != "%":
-            return f"splat ({value.type} {value.name})"
-        whole = type_of(value.dtype, False)
-        first = self.value(f"insertelement {whole} poison, {value.type} {value.name}, i64 0")
-        return self.value(f"shufflevector {whole} {first}, {whole} poison, <{WIDTH} x i32> zeroinitializer")
+            return f"splat ({one} {value.name})"
+        first = self.value(f"insertelement {whole} poison, {one} {value.name}, i64 0")
+        return self.value(f"shufflevector {whole} {first}, {whole} poison, <{self.width} x i32> zeroinitializer")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, known, type_of
+from humanoid_mjx.kernels.llvm import Code, Value, known
 from humanoid_mjx.kernels.llvm_memory import MEMORY
 from humanoid_mjx.kernels.primitives import CALLS, FUNCTIONS, evaluated, uniform_carry, uniform_results
 
@@ -41,7 +41,7 @@ def lower(code: Code, closed: ClosedJaxpr, args: Sequence[Value]) -> list[Value]
 
     Args:
       code: it gets the instructions.
-      closed: function of vectors of `THREADS` and of scalars, of which the vectors become such of `WIDTH`.
+      closed: function of vectors of `THREADS` and of scalars, of which the vectors become such of `code.width`.
       args: what the function is given.
 
     Raises:
@@ -69,18 +69,20 @@ def _lowered(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
     if name in ("broadcast_in_dim", "copy", "reshape", "squeeze"):  # scalars become vectors where they are used
         return args
     if name == "reduce_or":
-        kind = (f"<{WIDTH} x i1>", code.vector(args[0]))
-        return [Value(code.call("i1", f"vector.reduce.or.v{WIDTH}i1", kind), args[0].dtype, True)]
+        if code.width == 1:
+            return args
+        flags = code.type_of(bool), code.vector(args[0])
+        return [Value(code.call("i1", f"vector.reduce.or.v{code.width}i1", flags), args[0].dtype, True)]
     return [_computed(code, name, params, args, eqn.outvars[0].aval.dtype)]
 
 
 def _computed(code: Code, name: str, params: dict[str, Any], args: list[Value], dtype: Any) -> Value:
     """Arithmetic on each number."""
-    uniform, first = all(arg.uniform for arg in args), args[0]
+    uniform, first = code.width == 1 or all(arg.uniform for arg in args), args[0]
     before, after = first.dtype.kind, np.dtype(dtype).kind
     x = [code.vector(arg, uniform) for arg in args]
-    kind, wanted, flags = (type_of(each, uniform) for each in (first.dtype, dtype, bool))
-    suffix = f"{'' if uniform else f'v{WIDTH}'}{'f32' if before == 'f' else 'i32'}"
+    kind, wanted, flags = (code.type_of(each, uniform) for each in (first.dtype, dtype, bool))
+    suffix = f"{'' if uniform else f'v{code.width}'}{'f32' if before == 'f' else 'i32'}"
     again = partial(_computed, code, params=params, dtype=dtype)
 
     def constant(number: Any, dtype: Any = first.dtype) -> str:
@@ -163,7 +165,7 @@ def _while(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
     code.begin(f"body{number}")
     ended = map(code.vector, lower(code, params["body_jaxpr"], [*args[first:last], *carry]), uniform)
     code.lines[place:place] = [
-        f"  {x.name} = phi {x.type} [ {one}, %{before} ], [ {two}, %{code.label} ]"
+        f"  {x.name} = phi {code.type_of(x.dtype, x.uniform)} [ {one}, %{before} ], [ {two}, %{code.label} ]"
         for x, one, two in zip(carry, begun, ended, strict=True)
     ]
     code.add(f"br label %head{number}")
@@ -185,7 +187,7 @@ def _cond(code: Code, eqn: Any, args: list[Value]) -> list[Value]:
         code.add(f"br label %join{number}")
     code.begin(f"join{number}")
     return [
-        Value(code.value(f"phi {type_of(x.aval.dtype, same)} {one}, {two}"), np.dtype(x.aval.dtype), same)
+        Value(code.value(f"phi {code.type_of(x.aval.dtype, same)} {one}, {two}"), np.dtype(x.aval.dtype), same)
         for x, same, one, two in zip(eqn.outvars, uniform, *found, strict=True)
     ]
 

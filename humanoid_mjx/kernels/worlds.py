@@ -21,7 +21,7 @@ from humanoid_mjx.kernels import fallback
 from humanoid_mjx.kernels import gpu_kernel as gpu
 from humanoid_mjx.kernels.cpu_kernel import cpu_kernel
 from humanoid_mjx.kernels.gpu_kernel import gpu_kernel
-from humanoid_mjx.kernels.llvm import WIDTH
+from humanoid_mjx.kernels.llvm import together
 from humanoid_mjx.kernels.memory import THREADS
 from humanoid_mjx.kernels.signature import called, signature_of_one
 
@@ -50,10 +50,10 @@ def _mapped(function: Callable[..., Any], structure: Any, many: tuple[bool, ...]
         if not any(many):
             return function(*structure.unflatten(leaves))
         if not fallback.why_none():
-            args, (block, call, _) = structure.unflatten(leaves), BACK_ENDS[jax.default_backend()]
+            args, (together, call, _) = structure.unflatten(leaves), BACK_ENDS[jax.default_backend()]
             try:
                 if not why_not(function, args, many):
-                    return called(signature_of_one(function, args, many), args, block, call)
+                    return called(signature_of_one(function, args, many), args, together, call)
             except Exception as error:  # whatever it is, XLA does not need it
                 fallback.warn(error)
         axes = [0 if own else None for own in many]
@@ -97,15 +97,21 @@ def kernel_here(function: Callable[..., Any], *args: Any) -> Any:
     return kernel(whole)(own, *args)
 
 
-BACK_ENDS = {"cpu": (WIDTH, cpu.call, cpu.written), "gpu": (THREADS, gpu.call, gpu.kinds_of_results)}
-"""Worlds that a kernel computes together, its call, and a function that raises NotImplementedError where it cannot."""
+BACK_ENDS = {
+    "cpu": (together, cpu.call, cpu.written),
+    "gpu": (lambda _: THREADS, gpu.call, lambda known, _: gpu.kinds_of_results(known)),
+}
+"""How many of so many worlds a kernel computes together, its call, and a function of a signature and that number that
+raises NotImplementedError where it cannot."""
 
 
 def why_not(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[bool, ...]) -> str | None:
     """Return the reason why no kernel can do what a function does, if so; `many`: which leaves of `args`, arrays or
     their shapes, have a first axis of worlds."""
     try:
-        BACK_ENDS[jax.default_backend()][2](signature_of_one(function, args, many))
+        together, _, write = BACK_ENDS[jax.default_backend()]
+        worlds = next(leaf.shape[0] for leaf, own in zip(jax.tree.leaves(args), many, strict=True) if own)
+        write(signature_of_one(function, args, many), together(worlds))
     except NotImplementedError as reason:
         return str(reason)
     except Exception as error:  # whatever it is, XLA does not need it

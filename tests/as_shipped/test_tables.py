@@ -1,5 +1,7 @@
 """A CPU's kernel trains tables to the bits of the scan; tasks that it cannot do, the scan trains."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -72,17 +74,21 @@ CASES = [(case, {}) for case in TASKS] + [("room", values) for values in METHODS
 
 @pytest.mark.parametrize(("case", "values"), CASES, ids=[" ".join([case, *map(str, v.values())]) for case, v in CASES])
 def test_kernel_equals_scan_to_the_bit_in_chunks_and_beyond_the_end(case, values):
+    """One table alone, of which a kernel computes scalars, too."""
     task = TASKS[case]()
     assert why_no_kernel(make_learner("tabular_q", task, **values)) is None
     learners, start = runs_of(task, **values)
     scan, kernel = (jax.jit(jax.vmap(each, in_axes=(0, 0, None))) for each in (train, TRAIN))
-    expected = found = start
+    last = partial(jax.tree.map, lambda leaf: leaf[-1:])
+    expected, found, alone = start, start, last(start)
     for steps in (32, 70, 200):
         expected, found = scan(learners, expected, steps), kernel(learners, found, steps)
+        alone = kernel(last(learners), alone, steps)
     assert expected.record[..., 0].sum() > (0 if values else RUNS / 4)  # so that records and restarts are compared too
-    for wanted, got in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
-        assert wanted.dtype == got.dtype
+    for wanted, got, one in zip(*map(jax.tree.leaves, (expected, found, alone)), strict=True):
+        assert wanted.dtype == got.dtype == one.dtype
         np.testing.assert_array_equal(words(got), words(wanted))
+        np.testing.assert_array_equal(words(one), words(last(wanted)))
 
 
 def test_a_kernel_is_traced_again_after_caches_are_cleared():
@@ -107,7 +113,7 @@ def test_one_table_that_the_scan_trains_is_what_it_would_be_among_others():
     options = compute.compiler_options(task.arithmetic, learner.program)
     tables = []
     for runs in (1, 9):
-        size, _ = placement(learner, runs, room=99)
+        size, _ = placement(jax.tree.map(lambda x: jnp.full(1, x), learner), runs, room=99)
         learners = jax.tree.map(lambda x, size=size: jnp.full(size, x), learner)
         start = jax.jit(jax.vmap(begin))(
             learners, jax.vmap(jax.random.fold_in, (None, 0))(rng.key(3), jnp.arange(size))

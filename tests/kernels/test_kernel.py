@@ -182,10 +182,11 @@ def everything(x, flag):
     return of_nothing | looked_up | {"table": table, "halved": halved, "far": far, "flag": flag, "most": count < 20}
 
 
-@pytest.mark.parametrize(("worlds", "lanes"), [(5, 1), (64, 3), (70, 2)])
+@pytest.mark.parametrize(("worlds", "lanes"), [(1, 1), (5, 1), (64, 3), (70, 2)])
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_loops_branches_and_indices_are_those_of_xla(kernel, worlds, lanes):
-    """Rows of three and of two are lanes. Blocks of a CPU are 16 worlds: a part of one, four, and five that overlap."""
+    """Rows of three and of two are lanes. A CPU computes one world in scalars, others in blocks of 16: a part of one,
+    four, and five that overlap."""
     x = np.random.default_rng(worlds).normal(size=(3, worlds)).astype(np.float32)
     flag = x[0] > 0.3
     expected = jax.jit(everything)(x, flag)
@@ -255,7 +256,7 @@ def _of_flags(x, y):
 
 @pytest.mark.parametrize("case", NUMBERS)
 def test_arithmetic_of_a_cpu_is_that_of_xla(case):
-    """Numbers of all sizes, zeros of both signs, and what is not finite."""
+    """Numbers of all sizes, zeros of both signs, and what is not finite; one world alone, to the bit."""
     x = np.random.default_rng(3).normal(size=(2, 200)).astype(np.float32) * 10.0 ** np.arange(-3, 5).repeat(25)
     x = np.float32(np.concatenate([x, [[0.0, -0.0, 0.0, 1.0], [1.0, 2.0, -0.0, 1.0]]], axis=1))
     if case in ("arithmetic", "order", "steps"):
@@ -267,8 +268,10 @@ def test_arithmetic_of_a_cpu_is_that_of_xla(case):
     def function(x):
         return NUMBERS[case](x[0], x[1])
 
-    for wanted, got in zip(jax.jit(function)(x), jax.jit(partial(cpu_kernel, function))(x), strict=True):
+    kernel = jax.jit(partial(cpu_kernel, function))
+    for wanted, got, alone in zip(jax.jit(function)(x), kernel(x), kernel(x[:, 5:6]), strict=True):
         assert got.dtype == wanted.dtype
+        np.testing.assert_array_equal(alone, got[5:6])
         # Functions of two libraries, some of them series; integers and flags are exact.
         real = got.dtype == np.float32
         np.testing.assert_allclose(got, wanted, rtol=5e-6 * real, atol=1e-6 * (case == "angles"))
@@ -462,7 +465,7 @@ def test_a_short_loop_of_many_operations_is_not_unrolled():
         return jax.lax.scan(step, x, length=steps)[0]
 
     few, many = (
-        kernels.written(worlds.signature_of_one(partial(function, steps), (X[0],), (True,)))[0].count("\n")
+        kernels.written(worlds.signature_of_one(partial(function, steps), (X[0],), (True,)), 16)[0].count("\n")
         for steps in (14, 16)
     )
     assert many == few
@@ -512,7 +515,7 @@ def test_maps_and_derivatives_of_a_kernel(case, monkeypatch):
     def function(x, y, count):
         return {"sum": jnp.sin(x).sum() * y, "row": jax.lax.fori_loop(0, count, lambda _, row: 0.5 * row + y, x)}
 
-    monkeypatch.setitem(worlds.BACK_ENDS, "cpu", (kernels.WIDTH, counted, kernels.written))
+    monkeypatch.setitem(worlds.BACK_ENDS, "cpu", (kernels.together, counted, kernels.written))
     found, expected = MAPS[case](worlds.kernel(function)), MAPS[case](function)
     jax.tree.map(partial(np.testing.assert_allclose, rtol=2e-6, atol=1e-6), found, expected)
     assert set(calls) == ({16} if "derived" not in case else set())
