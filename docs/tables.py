@@ -142,8 +142,9 @@ def speed_startup() -> str:
     ]
     rows = []
     for config in ("joint1", "leg_reach", "walk_cpu", "walk"):
-        cells = [[found.get(f"{config} {kind}") for kind in ("cold", "warm")] for found in columns]
-        rows.append((f"`{config}`", *(" then ".join(rounded(x) for x in times if x is not None) for times in cells)))
+        cells = [[found[key] for kind in ("cold", "warm") if (key := f"{config} {kind}") in found] for found in columns]
+        if any(cells):
+            rows.append((f"`{config}`", *(" then ".join(map(rounded, times)) for times in cells)))
     return table(" | ".join(("seconds to training", *machine_names())), rows)
 
 

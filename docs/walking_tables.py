@@ -34,7 +34,7 @@ def _evaluated(name: str, result: int = 0) -> Walk:
 
 def walk() -> str:
     """Return how the shipped setting walks, by command."""
-    of, rows = _evaluated("h100_walk"), []
+    of, rows = _evaluated("h200_walk"), []
     for name in (*COMMANDS[:5], "turn +0.5", *COMMANDS[5:7], "sideways +0.15"):
         ahead, upright = spread(of.seeds("forward", name), 2), spread(of.seeds("success", name), 0, 100)
         moves = (rounded(of.median(figure, name), 2) for figure in ("left", "turn"))
@@ -88,7 +88,8 @@ def walk_learners() -> str:
     """Return how well `walk` is learned by other learners and under another control law."""
     return _compared(
         {
-            "`deep_q`, as `walk` is, in bfloat16": _evaluated("h100_walk"),
+            "`deep_q`, as `walk` is, in bfloat16": _evaluated("h200_walk"),
+            "that, slip costs twice as much at most": _evaluated("h100_walk"),
             "turn 0.4, yawing -0.5, as `walk` was": _evaluated("h100_walk_40m"),
             "that, as `walk_quick` is": _evaluated("h100_walk_quick"),
             "that, in float32, twice the steps of the second row": _evaluated("h200_walk_seeds"),
@@ -254,8 +255,9 @@ TABLES = (
     | {name: partial(_in_worlds, name) for name in WORLDS}
     | {
         "walk_dog": lambda: _by_command("cpu_2_cores_walk_dog"),
-        "walk_humanoid": lambda: _by_command("h100_walk_humanoid", "h100_walk_humanoid_mujoco"),
+        "walk_humanoid": lambda: _by_command("h200_walk_humanoid", "h200_walk_humanoid_mujoco"),
         "walk_gaits": lambda: _series("h200_walk_gaits"),
+        "walk_slip": lambda: _series("h200_walk_slip"),
         "walk_cpu": lambda: _by_command("h100_walk_cpu"),
         "walk_trials": lambda: _trials("trials", *PUSHED),
         "one_policy": lambda: _trials("one_policy", *ALL),
@@ -263,10 +265,10 @@ TABLES = (
         "walk_learning": lambda: _series("h200_walk_learning"),
         "walk_sturdy_minutes": lambda: rounded(record("walk_worlds")["trained"]["walk_sturdy"]["command_s"] / 60),
         "walk_cpu_minutes": lambda: rounded(median(record("walk_cpu_trials")["command_s"]) / 60),
-        "walk_dog_seconds": lambda: rounded(record("h100_walk_dog")["training"]["command_s"]),
-        "walk_humanoid_seconds": lambda: rounded(record("h100_walk_humanoid")["training"]["command_s"]),
-        "walk_seconds": lambda: rounded(record("h100_walk")["training"]["command_s"]),
-        "walk_minutes": lambda: rounded(record("h100_walk")["training"]["command_s"] / 60),
+        "walk_dog_seconds": lambda: rounded(record("h200_walk_dog")["training"]["command_s"]),
+        "walk_humanoid_seconds": lambda: rounded(record("h200_walk_humanoid")["training"]["command_s"]),
+        "walk_seconds": lambda: rounded(record("h200_walk")["training"]["command_s"]),
+        "walk_minutes": lambda: rounded(record("h200_walk")["training"]["command_s"] / 60),
         "two_settings_minutes": lambda: rounded(record("h200_walk_seeds")["training"]["command_s"] / 60),
     }
 )
