@@ -118,16 +118,12 @@ def signature_of_one(function: Callable[..., Any], args: tuple[Any, ...], many: 
 
 
 def called(
-    known: Signature,
-    args: tuple[Any, ...],
-    together: Callable[[int], int],
-    call: Callable[[Signature, list[Array], int], tuple[Any, Any]],
+    known: Signature, args: tuple[Any, ...], block: int, call: Callable[[Signature, list[Array], int], tuple[Any, Any]]
 ) -> Any:
-    """`jax.vmap` of a function of one world by the `call` of a back end, which computes `together` of so many worlds at
-    once and takes a multiple of that."""
+    """`jax.vmap` of a function of one world by the `call` of a back end, which takes a multiple of `block` worlds."""
     leaves = jax.tree.leaves(args)
     worlds = next(len(leaf) for leaf, kind in zip(leaves, known.given, strict=True) if kind.role != "uniform")
-    missing = -worlds % together(worlds)  # the last world fills up the block
+    missing = -worlds % block  # the last world fills up the block
 
     def passed(leaf: Array, kind: Kind) -> Array:
         leaf = jax.random.key_data(leaf) if _is_key(leaf.dtype) else jnp.asarray(leaf)

@@ -5,7 +5,7 @@ The worlds of one scalar are then contiguous in memory, whatever axes of lanes o
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -53,7 +53,8 @@ def _mapped(function: Callable[..., Any], structure: Any, many: tuple[bool, ...]
             args, (together, call, _) = structure.unflatten(leaves), BACK_ENDS[jax.default_backend()]
             try:
                 if not why_not(function, args, many):
-                    return called(signature_of_one(function, args, many), args, together, call)
+                    worlds = together(_worlds(leaves, many))
+                    return called(signature_of_one(function, args, many), args, worlds, call)
             except Exception as error:  # whatever it is, XLA does not need it
                 fallback.warn(error)
         axes = [0 if own else None for own in many]
@@ -110,13 +111,16 @@ def why_not(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[boo
     their shapes, have a first axis of worlds."""
     try:
         together, _, write = BACK_ENDS[jax.default_backend()]
-        worlds = next(leaf.shape[0] for leaf, own in zip(jax.tree.leaves(args), many, strict=True) if own)
-        write(signature_of_one(function, args, many), together(worlds))
+        write(signature_of_one(function, args, many), together(_worlds(jax.tree.leaves(args), many)))
     except NotImplementedError as reason:
         return str(reason)
     except Exception as error:  # whatever it is, XLA does not need it
         return fallback.warn(error)
     return None
+
+
+def _worlds(leaves: Sequence[Any], many: tuple[bool, ...]) -> int:
+    return next(leaf.shape[0] for leaf, own in zip(leaves, many, strict=True) if own)
 
 
 def one_world(function: Callable[..., Any], *static: Any) -> Callable[..., Any]:

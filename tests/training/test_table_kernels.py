@@ -54,8 +54,7 @@ def runs_of(task, **own):
 def interpreted(*args):
     """A GPU's kernel in Pallas's interpreter."""
     many = *[True] * len(jax.tree.leaves(args[:2])), False
-    call = partial(gpu_kernel.call, interpret=True)
-    return called(signature_of_one(train, args, many), args, lambda _: THREADS, call)
+    return called(signature_of_one(train, args, many), args, THREADS, partial(gpu_kernel.call, interpret=True))
 
 
 OWN = [{"method": method, "decay": "step"} for method in ("double_q", "expected_sarsa", "sarsa", "n_step")]
