@@ -6,6 +6,7 @@ comes back as events, and only the driver, a `training.session.Session`, writes 
 """
 
 import gc
+import math
 import threading
 import time
 from collections import deque
@@ -239,7 +240,7 @@ class Work:
         while self.left and not self.stopped.is_set():
             slots, mib = size * len(self.devices), training_bytes(self.group) / 2**20
             many = f"{min(slots, self.together):,} of {self.together:,} runs"
-            self._events.put(Note(f"{many} train side by side, in an estimated {slots * mib:,.0f} MiB"))
+            self._events.put(Note(f"{many} train side by side, in an estimated {math.ceil(slots * mib):,} MiB"))
             try:
                 self._side_by_side(size)
             except Exception as error:
