@@ -102,8 +102,8 @@ BACK_ENDS = {
     "cpu": (together, cpu.call, cpu.written),
     "gpu": (lambda _: THREADS, gpu.call, lambda known, _: gpu.kinds_of_results(known)),
 }
-"""How many of so many worlds a kernel computes together, its call, and a function of a signature and that number that
-raises NotImplementedError where it cannot."""
+"""By backend: the number of worlds that a kernel computes together, its call, and a function of a signature and that
+number that raises NotImplementedError if there is no such kernel."""
 
 
 def why_not(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[bool, ...]) -> str | None:
