@@ -1,6 +1,5 @@
 """Archives of numpy arrays, read so that a damaged one, or one of another run, is never taken for the right one."""
 
-import io
 import struct
 import tokenize
 import zipfile
@@ -20,8 +19,6 @@ DAMAGE = (
 """Errors of numpy and zipfile on damaged files: numpy parses the header of an array as Python, and a flipped bit can
 ask for a password, for another compression, or for more memory than there is."""
 
-HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-
 MOST = 1 << 24
 """Bytes that the arrays of a small file may have."""
 
@@ -35,7 +32,7 @@ def read_archive(
     most: int | None = None,
     damage: str = "this file is truncated or damaged",
 ) -> dict[str, np.ndarray]:
-    """The arrays of a file that `numpy.savez` wrote whose names start with one of `prefixes`, not to be written to.
+    """The arrays of a file that `numpy.savez` wrote whose names start with one of `prefixes`.
 
     `numpy.load` stops where an array's shape says so, and checks no sum of what it has not read to the end: a flipped
     bit of a shape would pass for a shorter array. Here every byte is read, and the shape must take them all. Sizes are
@@ -73,13 +70,10 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise ValueError("a compression that is not numpy's, which zipfile inflates without limit")
     with archive.open(member) as file:
-        data = file.read(member.file_size)  # to its end, where its checksum is compared
-    head = io.BytesIO(data)
-    shape, fortran_order, dtype = HEADERS[np.lib.format.read_magic(head)](head)
-    if dtype.hasobject:
-        raise ValueError("an array of Python objects")
-    array = np.frombuffer(data, dtype, offset=head.tell()) if head.tell() < len(data) else np.empty(0, dtype)
-    return array.reshape(shape, order="F" if fortran_order else "C")
+        array = np.lib.format.read_array(file, allow_pickle=False)
+        if file.read(1):  # at its end its checksum is compared
+            raise ValueError("an array that is shorter than its file")
+    return array
 
 
 def check_finite(

@@ -187,11 +187,7 @@ def opened(path: Path) -> pq.ParquetFile:
 
 
 def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np.ndarray]:
-    """The columns of a parquet file of a run folder: all, or those named.
-
-    Raises:
-      InputError: as of `opened`.
-    """
+    """The columns of a parquet file of a run folder (`opened`): all, or those named."""
     with opened(path) as file:
         try:
             table = file.read(None if columns is None else list(columns))
@@ -201,11 +197,7 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> dict[str, np
 
 
 def column_names(path: Path) -> list[str]:
-    """The names of the columns of a parquet file of a run folder; none where there is no such file.
-
-    Raises:
-      InputError: as of `opened`.
-    """
+    """The names of the columns of a parquet file of a run folder (`opened`); none where there is no such file."""
     if not path.is_file():
         return []
     with opened(path) as file:
