@@ -66,11 +66,9 @@ def _merge(things: Sequence[Any], laned: bool = False) -> Any:
         lanes = max(len(thing.values) if isinstance(thing, Table) else 1 for thing in things)
         rows = [thing.values if isinstance(thing, Table) else (thing,) * lanes for thing in things]
         return Table((len(things), lanes) if laned else (len(things),), sum(rows, ()))
-    if any(type(thing) is not type(first) for thing in things) or not isinstance(first, tuple):
+    if not isinstance(first, tuple) or isinstance(first, Softness):  # its numbers are no tables
         raise _Unlike
-    if isinstance(first, Softness):  # its numbers are no tables
-        raise _Unlike
-    if any(len(thing) != len(first) for thing in things):
+    if any(type(thing) is not type(first) or len(thing) != len(first) for thing in things):
         raise _Unlike
     parts = [_merge(part, laned) for part in zip(*things, strict=True)]
     return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)

@@ -25,7 +25,7 @@ from humanoid_mjx.mechanics.tree.algebra import (
     transposed,
     turn,
 )
-from humanoid_mjx.mechanics.tree.structure import Axes, Joint, Tree, Triple
+from humanoid_mjx.mechanics.tree.structure import Joint, Tree, Triple
 
 
 class Pose(NamedTuple):
@@ -73,7 +73,7 @@ def make_kinematics(tree: Tree, qpos: Sequence[Any]) -> Kinematics:
             continue
         parent = poses[body.parent]
         position = _moved(parent.position, parent.axes, body.position)
-        axes = compose(parent.axes, known_axes(body.axes))
+        axes = compose(parent.axes, transposed(numbers(body.axes)))
         for joint in body.joints:
             anchor = _moved(position, axes, joint.anchor)
             axis, way = turn(axes, numbers(joint.axis)), qpos[joint.coordinate] - numbers(joint.reference)
@@ -116,11 +116,6 @@ to_local = partial(to_world, back=True)
 def unit(quaternion: Any) -> Any:
     """The quaternion at length 1."""
     return quaternion * lax.rsqrt(dot(quaternion, quaternion))
-
-
-def known_axes(axes: Axes) -> Any:
-    """Axes of numbers that are known while tracing."""
-    return transposed(numbers(axes))
 
 
 def _moved(position: Any, axes: Any, point: Triple) -> Any:

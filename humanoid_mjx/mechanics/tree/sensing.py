@@ -8,16 +8,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from humanoid_mjx.mechanics.tree.algebra import (
-    compose,
-    in_lane,
-    numbers,
-    transposed,
-    turn,
-    unfolded,
-    velocity_at,
-)
-from humanoid_mjx.mechanics.tree.kinematics import known_axes, motions_of, to_local
+from humanoid_mjx.mechanics.tree.algebra import compose, in_lane, numbers, transposed, turn, unfolded, velocity_at
+from humanoid_mjx.mechanics.tree.kinematics import motions_of, to_local
 from humanoid_mjx.mechanics.tree.problem import Problem, Solution, ground_residuals
 from humanoid_mjx.mechanics.tree.step import State
 from humanoid_mjx.mechanics.tree.structure import Site, Tree
@@ -93,7 +85,7 @@ def _accelerometer(state: State, motions: list[Any], gravity: Any, site: Site) -
 
 def _felt(state: State, site: Site, vector: Any) -> Any:
     """A vector of the world in the site's frame."""
-    axes = compose(state.kinematics.of_lane(site.body, site.lane).axes, known_axes(site.axes))
+    axes = compose(state.kinematics.of_lane(site.body, site.lane).axes, transposed(numbers(site.axes)))
     return turn(transposed(axes), in_lane(vector, site.lane))[:, 0]
 
 
