@@ -166,7 +166,7 @@ def _train(learner: Learner, key: Key[Array, ""]) -> Trained[Any]:
     updates = jnp.ceil(jnp.asarray(learner.budget) / learner.update_steps).astype(jnp.int32)
     last = jax.lax.while_loop(
         lambda state: ~state.failed & (learner.progress(state.carry) < 1.0),
-        lambda state: program.advance(learner, state, updates)[0],
+        lambda state: program.train(learner, state, updates),
         program.begin(learner, key),
     )
     found = program.finish(learner, last, jax.random.fold_in(key, 1))

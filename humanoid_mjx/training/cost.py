@@ -1,7 +1,6 @@
 """The cost of training: the memory that runs take on a device, and so how many train at once; the disk that a run
 folder takes."""
 
-import math
 import shutil
 from collections import Counter
 from collections.abc import Sequence
@@ -78,7 +77,7 @@ FUSED = ELEMENTWISE | ARRANGED | {"cos", "logistic", "pow", "rsqrt", "sin", "tan
 """Primitives that XLA fuses into their consumer: a result that is used once is never in memory."""
 
 
-def working_bytes(jaxpr: core.Jaxpr) -> int:
+def working_bytes(jaxpr: Any) -> int:
     """The most bytes that the values computed in a program hold at once, each until its last use.
 
     Loops and calls count with their insides; results that XLA fuses into their consumer (`FUSED`) count nothing.
@@ -93,7 +92,7 @@ def working_bytes(jaxpr: core.Jaxpr) -> int:
         kernel = equation.primitive.name == "pallas_call"  # what one computes is in registers
         inside = [] if kernel else [working_bytes(inner) for inner in core.jaxprs_in_params(equation.params)]
         fused = equation.primitive.name in FUSED and uses[equation.outvars[0]] == 1
-        new = {var: 0 if fused else _bytes(var.aval) for var in equation.outvars}
+        new = {var: 0 if fused else var.aval.size * var.aval.dtype.itemsize for var in equation.outvars}
         peak = max(peak, held + max(sum(new.values()), *inside, 0))
         sizes |= {var: size for var, size in new.items() if last_use.get(var, place) > place}
         held += sum(size for var, size in new.items() if var in sizes)
@@ -102,24 +101,15 @@ def working_bytes(jaxpr: core.Jaxpr) -> int:
     return peak
 
 
-def _bytes(aval: Any) -> int:
-    return math.prod(aval.shape) * aval.dtype.itemsize
-
-
 def _is_var(atom: object) -> bool:
     return isinstance(atom, core.Var)
 
 
 def check_disk(place: Path, plan: Plan, slots: Sequence[int]) -> None:
-    """Refuse a run that its disk cannot hold.
+    """Raise an InputError if a run is estimated to take more than the free space of its disk.
 
-    Args:
-      place: the run folder, which need not exist; what it holds already is not needed again.
-      plan: what is to be trained.
-      slots: how many runs of each group train side by side.
-
-    Raises:
-      InputError: the free space is less than what the run is estimated to take.
+    `place`: the run folder, which need not exist; what it holds already is not needed again. `slots`: runs of each
+    group that train side by side.
     """
     needed = disk_bytes(plan, slots)
     there = next(path for path in (place.absolute(), *place.absolute().parents) if path.exists())

@@ -252,11 +252,7 @@ def too_narrow(plan: Plan, workers: int) -> str:
 
 
 def _cluster(address: str) -> Any:
-    """Return the package ray, connected to a cluster. It reads its settings when it is imported.
-
-    Raises:
-      InputError: it is not installed, or the cluster cannot be reached.
-    """
+    """Return the package ray, connected to a cluster. It reads its settings when it is imported."""
     for name, value in SETTINGS.items() if address == LOCAL else ():
         os.environ.setdefault(name, value)
     ray = package("ray", "ray", "--ray")

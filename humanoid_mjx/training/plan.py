@@ -193,12 +193,8 @@ class Plan:
 
     def table(self) -> dict[str, list[Any]]:
         """The hyper-parameters as columns: every scalar of task and learner by dotted name, an entry per point."""
-        columns: dict[str, list[Any]] = {}
-        for learner in self.learners:
-            for part, spec in (("task", learner.task), ("learner", learner)):
-                for name, value in _scalars(spec, part):
-                    columns.setdefault(name, []).append(value)
-        return {name: values for name, values in columns.items() if len(values) == len(self.learners)}
+        rows = [dict([*_scalars(each.task, "task"), *_scalars(each, "learner")]) for each in self.learners]
+        return {name: [row[name] for row in rows] for name in rows[0] if all(name in row for row in rows)}
 
 
 def _scalars(spec: Spec, prefix: str) -> Iterator[tuple[str, Any]]:
@@ -212,11 +208,7 @@ def _scalars(spec: Spec, prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def points_of(config: Config) -> list[dict[str, Any]]:
-    """The swept values of each point, by dotted name.
-
-    Raises:
-      InputError: a sweep that cannot be.
-    """
+    """The swept values of each point, by dotted name; an InputError where the sweep cannot be."""
     try:
         return sweep_points(config.sweep, config.seed) if config.sweep else [{}]
     except InputError as error:
@@ -224,11 +216,7 @@ def points_of(config: Config) -> list[dict[str, Any]]:
 
 
 def make_plan(config: Config) -> Plan:
-    """Give a config its meaning.
-
-    Raises:
-      InputError: a task, learner or sweep that the config asks for cannot be.
-    """
+    """Return the plan of a config; raise an InputError if a task, learner or sweep that it asks for cannot be."""
     if "mjx-jax" in config.physics:
         compute.make_room()
     points = points_of(config)

@@ -209,11 +209,8 @@ def _finite(tree: Any) -> BoolScalar:
 
 
 def check_learner(learner: Learner) -> None:
-    """Trace a step of training, and an action, of a learner that does not ship with this package.
-
-    Raises:
-      InputError: a method fails, or does not return what the protocol of `Learner` says.
-    """
+    """Trace a step of training, and an action, of a learner that does not ship with this package; raise an InputError
+    if a method fails, or does not return what the protocol of `Learner` says."""
     if ships(type(learner)):
         return
     what = f"learner: {type(learner).__name__}"

@@ -91,11 +91,7 @@ class Session:
         """The present rung, and the pace of its runs."""
 
     def _go_on(self) -> np.ndarray:
-        """Begin the next rung; its points, as in `Group.points`: the best of the rung before, which is stored.
-
-        Raises:
-          InputError: the rung before is not finished.
-        """
+        """Begin the next rung. Return its points, as in `Group.points`: the best of the stored rung before."""
         plan, every = self.plan, len(self.plan.points)
         arrays = all_runs(self.folder.path, ("point", "seed", "curve.", "final."), self.folder.digest)
         arrays = {name: array[arrays["rung"] == self.rung] for name, array in arrays.items()}
@@ -115,11 +111,7 @@ class Session:
         return np.sort([point.point for point in best]) + self.rung * every
 
     def end(self) -> None:
-        """Leave a run folder that is complete.
-
-        Raises:
-          InputError: runs are missing.
-        """
+        """Remove the states of runs under way; raise an InputError if runs are missing."""
         if missing := self.plan.num_runs - len(self.finished):
             raise InputError(
                 f"{self.folder.path}: {missing:,} of {self.plan.num_runs:,} runs are not finished; the same command "
