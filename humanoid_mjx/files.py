@@ -77,11 +77,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def refusing(path: Path, done: str = "written") -> Iterator[None]:
-    """Turn errors of the system within the block into what to say of a path that cannot be `done` so.
-
-    Raises:
-      InputError: there was one.
-    """
+    """Turn an error of the system within the block into an InputError that says that a path cannot be `done`."""
     try:
         yield
     except OSError as error:

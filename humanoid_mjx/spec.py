@@ -46,11 +46,8 @@ def check_count(what: str, value: Any, least: int) -> None:
 
 
 def check_folder(file: Path, option: str = "") -> None:
-    """Check that a file can be written: its folder exists, and it is not a folder itself.
-
-    Raises:
-      InputError: it cannot; the message begins with `option`.
-    """
+    """Raise an InputError, whose message begins with `option`, unless a file can be written: its folder exists, and it
+    is no folder itself."""
     if str(file) == "-" or (file.exists() and not file.is_file()):
         kind = "the standard output" if str(file) == "-" else "a folder" if file.is_dir() else "a pipe or device"
         raise InputError(f"{option} {file}: this is {kind}; name a file.".lstrip())
@@ -422,8 +419,7 @@ def sentence(
         case kind if kind in SENTENCES:
             return f"{key} {SENTENCES[kind].format(**fault['ctx'])}{got}."
         case "extra_forbidden":
-            fields = [n for n, f in _fields(model, fault["loc"][:-1]).items() if not f.exclude]
-            return f"{key}: unknown key; {known(str(fault['loc'][-1]), fields, command)}."
+            return f"{key}: unknown key; {known(str(fault['loc'][-1]), _fields(model, fault['loc'][:-1]), command)}."
         case "missing":
             return f"{key}: this key is required."
         case "value_error":
@@ -433,8 +429,7 @@ def sentence(
                 return f"{parents}.{message}".removeprefix(".")
             return f"{key}: {message}".removeprefix(": ")
         case "model_type":
-            fields = [name for name, field in _fields(model, fault["loc"]).items() if not field.exclude]
-            if "name" in fields:
+            if "name" in (fields := _fields(model, fault["loc"])):
                 return f"{key} must be a name, or a mapping of keys with a name{got}."
             return f"{key} must be a mapping of keys{got}; {known('', fields, command)}."
         case "string_pattern_mismatch":
@@ -456,10 +451,10 @@ def sentence(
 
 
 def _fields(model: type[pydantic.BaseModel] | None, place: Iterable[Any]) -> Mapping[str, Any]:
-    """Return the fields of the model at `place` inside `model`."""
+    """Return the fields of the model at `place` inside `model` that a config may hold."""
     for name in place:
         kinds = (model.model_fields[name].annotation,) if model else ()
         model = next(
             (kind for kind in within(kinds) if isinstance(kind, type) and issubclass(kind, pydantic.BaseModel)), None
         )
-    return model.model_fields if model else {}
+    return {name: field for name, field in model.model_fields.items() if not field.exclude} if model else {}

@@ -66,11 +66,7 @@ LEARNING = {
 
 
 def check_settings() -> None:
-    """Check that jax is set so that learners can train.
-
-    Raises:
-      InputError: it is not.
-    """
+    """Raise an InputError unless jax is set so that learners can train."""
     for name, (fit, why) in LEARNING.items():
         if (value := getattr(jax.config, name)) not in fit:
             variables = [v for v in (name.upper(), "JAX_TRANSFER_GUARD") if v in os.environ]
