@@ -173,9 +173,8 @@ def placement(learners: Learner, runs: int, room: int, width: int | None = None)
     rows = min(-(-runs // (each or 1)), room // (each or 1), len(devices))
     share = next(share for share in possible if rows * share <= len(devices))
     size = each or min(room // rows, -(-runs // rows))
-    if size == 1 and isinstance(learners, TabularQ) and learners.agents == 1:
-        # Of one table XLA:CPU makes a program of scalars, which it rounds otherwise.
-        size = 2 if why_no_kernel(jax.tree.map(lambda x: x[0], learners)) else 1
+    if isinstance(learners, TabularQ) and learners.agents == 1:
+        size = max(size, 2)  # of one table XLA:CPU makes a program of scalars, which it rounds otherwise
     return size, np.array(devices[: rows * share]).reshape(rows, share)
 
 

@@ -113,7 +113,7 @@ def test_one_table_that_the_scan_trains_is_what_it_would_be_among_others():
     options = compute.compiler_options(task.arithmetic, learner.program)
     tables = []
     for runs in (1, 9):
-        size, _ = placement(jax.tree.map(lambda x: jnp.full(1, x), learner), runs, room=99)
+        size, _ = placement(learner, runs, room=99)
         learners = jax.tree.map(lambda x, size=size: jnp.full(size, x), learner)
         start = jax.jit(jax.vmap(begin))(
             learners, jax.vmap(jax.random.fold_in, (None, 0))(rng.key(3), jnp.arange(size))
