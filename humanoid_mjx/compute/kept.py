@@ -56,9 +56,7 @@ def about(spec: Spec, arrays: Any = None, also: str = "") -> str | None:
 def remembered(name: str, about: str | None, make: Callable[[], Any]) -> Any:
     """Return the stored result for `name` and `about`; if there is none, call `make` and store its result.
 
-    Args:
-      name: first part of the file's name.
-      about: the cache key; None stores nothing.
+    `name`: first part of the file's name. `about`: the cache key; None stores nothing.
     """
     if (found := find(name, about)) is None:
         put(name, about, found := make())

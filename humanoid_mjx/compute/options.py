@@ -113,12 +113,9 @@ TABLE = (
 def compiler_options(arithmetic: Arithmetic, program: Program = "simulation", every_device: bool = False) -> Options:
     """Return the `compiler_options` of a `jax.jit`, as far as this XLA knows them.
 
-    Args:
-      arithmetic: kind of the task's or the physics' arithmetic.
-      program: kind of the program.
-      every_device: whether the program runs on all devices at once. Several CPU devices keep all cores busy, so kernels
-        with multi-output fusion are not split over the pool of threads: with MJX's pool (`POOL_THREADS`) tables train 3
-        times as fast so, with others as fast or faster.
+    `every_device`: the program runs on all devices at once. Several CPU devices keep all cores busy, so kernels with
+    multi-output fusion are not split over the pool of threads: with MJX's pool (`POOL_THREADS`) tables train 3 times as
+    fast so, with others as fast or faster.
     """
     backend = jax.default_backend()
     options = {

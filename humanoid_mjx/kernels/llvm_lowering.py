@@ -37,12 +37,9 @@ INTRINSICS: dict[str, dict[str, str]] = {
 
 
 def lower(code: Code, closed: ClosedJaxpr, args: Sequence[Value]) -> list[Value]:
-    """Add a traced function to the code.
+    """Add the instructions of a traced function to the code; return its results.
 
-    Args:
-      code: it gets the instructions.
-      closed: function of vectors of `THREADS` and of scalars, of which the vectors become such of `code.width`.
-      args: what the function is given.
+    The function is of vectors of `THREADS`, which become such of `code.width`, and of scalars.
 
     Raises:
       NotImplementedError: it has an operation that is none of kernels'.

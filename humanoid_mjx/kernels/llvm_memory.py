@@ -26,10 +26,8 @@ for _primitive in (write_words, add_words):
 class Words(Region):
     """Words of each world, for `lower`; see `Region`.
 
-    Args:
-      region: a number, for memory that the code reserves; the name of an array of the caller, (worlds, words); or words
-        that are known while tracing, the same for all worlds.
-      words: how many of each world.
+    `region`: a number, for memory that the code reserves; the name of an array of the caller, (worlds, words); or words
+    that are known while tracing, the same for all worlds. `words`: words of each world.
     """
 
     def __init__(self, region: int | str | tuple[int, ...], words: int):

@@ -36,10 +36,8 @@ def assembly(code: str, constraints: str, dtype: Any, *args: Array) -> Array:
 class Region:
     """Words of 32 bits of each thread, by default in its local memory.
 
-    Args:
-      number: of the region, unlike that of any other in the kernel in the same space.
-      words: how many.
-      interpret: for Pallas's interpreter, where the token is what the memory holds.
+    `number`: unlike that of any other region of the kernel in the same space. `interpret`: for Pallas's interpreter,
+    where the token is what the memory holds.
     """
 
     space = "local"

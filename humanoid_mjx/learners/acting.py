@@ -38,8 +38,7 @@ def step_all(
 ) -> tuple[Envs, State, dict[str, FloatScalar]]:
     """Carry out one decision in every environment: choices of the joints, or commands in [-1, 1].
 
-    Returns:
-      the environments, new episodes begun; the states that the step led to; sums over the ended episodes.
+    Return the environments, new episodes begun; the states that the step led to; sums over the ended episodes.
     """
     step = env.step_continuous if jnp.issubdtype(action.dtype, jnp.floating) else env.step
     step_keys, reset_keys = (jax.random.split(key, len(action)) for key in (step_key, reset_key))

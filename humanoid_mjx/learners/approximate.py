@@ -246,8 +246,7 @@ def lambda_targets(
     with nothing beyond a terminal state, and the maximum alone beyond a truncated one and at the end of the piece.
     With trace_decay 0 these are one-step targets, with 1 the rewards to the end of the episode or piece.
 
-    Args:
-      next_value: max_a Q of the state that each step led to, before any reset, or another value of it.
+    `next_value`: max_a Q of the state that each step led to, before any reset, or another value of it.
     """
 
     def back(following: Array, step: tuple[Array, ...]) -> tuple[Array, Array]:

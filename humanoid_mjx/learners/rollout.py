@@ -49,8 +49,7 @@ def rollout(
 ) -> tuple[Episode, Array]:
     """Play one episode to its end, at most `MAX_EPISODE_STEPS` steps where the task has no limit.
 
-    Returns:
-      its results, and the first action that `env` does not allow; if there is none, the last action.
+    Return its results, and the first action that `env` does not allow; if there is none, the last action.
     """
     most = getattr(getattr(env, "finite", None), "max_episode_steps", MAX_EPISODE_STEPS)
 

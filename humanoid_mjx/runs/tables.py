@@ -30,11 +30,8 @@ def write_tables(
 ) -> None:
     """Write results, summary and timing of all runs that are finished, ordered by point and seed.
 
-    Args:
-      folder: the run folder.
-      hyper: the hyper-parameters as columns, an entry for each sweep point.
-      unit: unit of a learning curve: `episode` or `step`.
-      places: the count at each record point, by the rung of the run: one rung but in mode halving.
+    `hyper`: the hyper-parameters as columns, an entry for each sweep point. `unit`: `episode` or `step`. `places`: the
+    count of the unit at each record point, by the rung of the run: one rung but in mode halving.
 
     Raises:
       InputError: a file of the checkpoint is damaged or of another training.

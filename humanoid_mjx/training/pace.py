@@ -205,11 +205,8 @@ def estimate(plan: Plan, measured_s: float = MEASURED_S) -> tuple[dict[str, floa
 
     A sample of the runs trains side by side, as many as the sweep would train at once. Episodes of an early policy can
     be much longer or shorter than those of a later one, which an estimate from the beginning cannot know. A run that
-    several cores of a CPU will share counts as if it had one.
-
-    Args:
-      plan: what is to be trained.
-      measured_s: how long each program that is measured trains, s.
+    several cores of a CPU will share counts as if it had one. `measured_s`: training of each program that is measured,
+    s.
 
     Returns:
       the seconds of each part, figures left out, compiling as long as it took here; and how many of the sweep's

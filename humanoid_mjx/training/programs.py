@@ -159,12 +159,9 @@ def in_turn(learners: Learner, runs: list[int], room: int) -> list[list[int]]:
 def placement(learners: Learner, runs: int, room: int, width: int | None = None) -> tuple[int, Devices]:
     """Return how many runs each device, or each row of devices that share them, trains at once, and the devices.
 
-    Args:
-      learners: what trains. Where a CPU has more cores than there are runs, several share the environments of each.
-        Those train one at a time on each: a slot that trains nothing costs as much as one that trains.
-      runs: runs to train.
-      room: runs that the devices of this process can train at once.
-      width: runs that each device trains at once, if that is fixed.
+    Where a CPU has more cores than there are `runs`, several share the environments of each. Those train one at a time
+    on each: a slot that trains nothing costs as much as one that trains. `room`: runs that the devices of this process
+    can train at once. `width`: runs that each device trains at once, if that is fixed.
     """
     devices = jax.local_devices()
     shares = range(len(devices), 0, -1) if ways().devices_share_runs else (1,)

@@ -23,12 +23,10 @@ JOINT, GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 
 
 def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence[int] | None = None) -> st.Tree:
-    """The structure and constants of a compiled model.
+    """The structure and constants of a compiled model, whose solver's settings are of no use here.
 
-    Args:
-      model: compiled model; its own solver's settings are of no use here.
-      sensors: names of the gyroscopes and accelerometers to read, in this order.
-      feet: geoms whose contacts with the ground are reported; by default all that have any.
+    `sensors`: names of the gyroscopes and accelerometers to read, in this order. `feet`: geoms whose contacts with the
+    ground are reported; by default all that have any.
 
     Raises:
       InputError: the model has something that a tree cannot represent; the sentence names all of it.

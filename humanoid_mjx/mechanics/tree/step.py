@@ -165,10 +165,8 @@ def accelerate(
 ) -> tuple[Problem, Solution]:
     """The accelerations, and the problem that they solve; both with the free body's in the world's axes.
 
-    Args:
-      motor: what acts on the degrees of freedom, N m.
-      warmstart: accelerations near the solution, in the axes of `qvel`.
-      ended: where a solution is of no use.
+    `motor`: forces of the motors on the degrees of freedom, N m. `warmstart`: accelerations near the solution, in the
+    axes of `qvel`. `ended`: true where a solution is of no use.
     """
     force = [m + p - b for m, p, b in zip(motor, state.passive, state.bias, strict=True)]
     if values.push is not None and tree.free is not None:
