@@ -199,7 +199,7 @@ def ground_touch(
 ) -> Touch:
     """The contacts of points that a plane or a `Terrain` pushes, where the bodies move by `motions`; point by point."""
     laned, normal = tree.bodies[points.body].laned, numbers(points.normal)
-    center, radius = ground_center(points, kinematics, laned), _each(points.radius, laned)
+    center, radius = ground_center(points, kinematics, laned), _by_point(points.radius, laned)
     height = dot(normal, center) + (dot(normal, kinematics.origin) - points.height)
     if terrain is not None and terrain.shaped:
         at = kinematics.origin + center
@@ -212,7 +212,7 @@ def ground_touch(
     return touch_of(points.surface, Gap(place, normal, distance), velocity, friction, along)
 
 
-def _each(what: Any, laned: bool) -> np.ndarray:
+def _by_point(what: Any, laned: bool) -> np.ndarray:
     """Numbers, or vectors, with a first axis of points."""
     found, of_vectors = numbers(what, (1,) if laned else (1, 1)), not isinstance(what, float | st.Table)
     found = np.moveaxis(found, 0, -3) if of_vectors else found
@@ -222,11 +222,11 @@ def _each(what: Any, laned: bool) -> np.ndarray:
 def ground_center(points: st.GroundPoints, kinematics: Kinematics, laned: bool) -> Any:
     """The middles of the balls that the plane pushes, against the origin; points of other shapes have no radius."""
     shape, normal = points.shape, numbers(points.normal)
-    middle = kinematics.place(points.body, _each(points.center, laned))
+    middle = kinematics.place(points.body, _by_point(points.center, laned))
     if shape is None:
         return middle
     if isinstance(shape, st.Corner):
-        return middle + _downwards(kinematics.direction(points.body, _each(shape.half, laned)), normal)
+        return middle + _downwards(kinematics.direction(points.body, _by_point(shape.half, laned)), normal)
     if isinstance(shape, st.Lowest):
         axes = [kinematics.direction(points.body, axis) for axis in shape.axes]
         reach = [numbers(radius) * dot(axis, normal) for radius, axis in zip(shape.radii, axes, strict=True)]
@@ -275,6 +275,7 @@ def pair_gap_at(pairs: st.Pairs, kinematics: Kinematics) -> GapAt:
 
 
 def _between(first: tuple[Segment, Any], second: tuple[Segment, Any]) -> Gap:
+    """The gap of two capsules, each its segment and its radius."""
     ((one, along_one), radius), ((two, along_two), other) = first, second
     x, y = nearest_shares(along_one, along_two, one - two)
     one, two = one + scale(x, along_one), two + scale(y, along_two)

@@ -76,7 +76,7 @@ def with_diagonal(row: Any, more: Any) -> Any:
 
 
 def felt(tree: Tree, kinematics: Kinematics, matrices: dict[int, Any]) -> Matrix:
-    """The degrees of freedom's share in 6x6 matrices of the bodies, from motions to forces; see `inward`."""
+    """Project 6x6 matrices of the bodies, from motions to forces, onto the degrees of freedom; see `inward`."""
     rows: Matrix = [np.zeros((len(tree.above(dof)), 1, 1)) for dof in range(tree.nv)]
     for index in inward(tree, matrices):
         for dof in tree.own(index):
@@ -86,7 +86,7 @@ def felt(tree: Tree, kinematics: Kinematics, matrices: dict[int, Any]) -> Matrix
 
 
 def felt_forces(tree: Tree, kinematics: Kinematics, wrenches: dict[int, Any]) -> list[Any]:
-    """The degrees of freedom's share in forces on the bodies; see `inward`."""
+    """Project forces on the bodies onto the degrees of freedom; see `inward`."""
     forces = [np.zeros((1, 1))] * tree.nv
     for index in inward(tree, wrenches):
         for dof in tree.own(index):

@@ -129,7 +129,7 @@ def _pushing(tree: Tree, problem: Problem, active: Active, before: Sequence[Any]
 
 
 def _rubbing(tree: Tree, problem: Problem, active: Active, before: Sequence[Any], after: Sequence[Any]) -> list[Any]:
-    """Dry friction likewise, its largest forces, and where `active` has these, by the sign of the residual."""
+    """Dry friction: weights, starts, slopes, largest forces, and where `active` has these, by sign of the residual."""
     found = []
     before, after = rubbed(tree, problem, before), rubbed(tree, problem, after)
     for dof, slip in problem.slips.items():

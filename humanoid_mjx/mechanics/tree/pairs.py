@@ -64,7 +64,7 @@ class Slots(NamedTuple):
         return self.touch.active(self.facets(tree, x))
 
     def guess(self, tree: Tree, x: Sequence[Any]) -> Flags:
-        """All facets of all contacts; of elliptic cones those that push."""
+        """First guess of `active`: all facets of all contacts; of elliptic cones those that push."""
         if isinstance(self.touch.friction, Cone):
             return self.active(tree, x)
         size = 1 if self.touch.friction is None else 4
@@ -77,7 +77,7 @@ def close_pairs(tree: Tree, problem: Problem) -> tuple[Slots, Bool[Array, " 1"]]
     contact, dofs, facts = _contacts(tree, problem, [friction for _, friction in gaps])
     first, found = 0, (jnp.zeros((SLOTS + 1, 1), jnp.int32), jnp.zeros(1, jnp.int32))
     for pairs, (at, _) in zip(tree.pairs, gaps, strict=True):
-        found = _noted(pairs, problem, at, first, found)
+        found = _find_close(pairs, problem, at, first, found)
         first += len(pairs.ones)
     (numbers, close), slots = found, min(SLOTS, first)
 
@@ -98,7 +98,7 @@ ABREAST = 4
 """Pairs that are looked at together: while a thread waits for a number of one, it computes another."""
 
 
-def _noted(pairs: Pairs, problem: Problem, at: GapAt, first: int, found: tuple[Any, Any]) -> tuple[Any, Any]:
+def _find_close(pairs: Pairs, problem: Problem, at: GapAt, first: int, found: tuple[Any, Any]) -> tuple[Any, Any]:
     """The numbers of the first `SLOTS` pairs that are close, and how many are close: `found`, and those of a group of
     which the first has this number; many are taken in a loop."""
     size = len(pairs.ones)
@@ -133,7 +133,7 @@ def _contacts(
     shapes = [pair for pairs in tree.pairs for pair in zip(pairs.ones, pairs.twos, strict=True)]
     pairs = [[numbered[shape.body, shape.lane * tree.bodies[shape.body].laned] for shape in two] for two in shapes]
     bodies = tuple(jnp.array(bodies, float)[:, None, None] for bodies in zip(*pairs, strict=True))
-    dofs, first, last, motions = _ways(tree, problem.kinematics, numbered, pairs)
+    dofs, first, last, motions = _parting(tree, problem.kinematics, numbered, pairs)
     rates = unfolded(problem.velocity, tree.dofs)
     rates = stacked([rates[dof] for dof in dofs])[:, None]
     zero = np.zeros((1, 1))
@@ -161,7 +161,7 @@ def _contacts(
     return contact, dofs, (bodies, inverse, some)
 
 
-def _ways(tree: Tree, kinematics: Kinematics, numbered: dict[tuple[int, int], int], pairs: Any) -> tuple[Any, ...]:
+def _parting(tree: Tree, kinematics: Kinematics, numbered: dict[tuple[int, int], int], pairs: Any) -> tuple[Any, ...]:
     """The degrees of freedom that part the bodies of some pair, those of all lanes one by one; the first and the last
     number, see `_numbers`, of the bodies that each moves; and their motions at unit speed."""
     found = []

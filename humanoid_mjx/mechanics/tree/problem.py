@@ -66,7 +66,7 @@ class Solution(NamedTuple):
 
 
 class Active(NamedTuple):
-    """Masks of the facets and of the stops that push."""
+    """Masks of the constraints that push: facets of contacts, ends of ranges, dry friction."""
 
     ground: list[Any]
     pairs: Any
@@ -80,7 +80,7 @@ def rubbed(tree: Tree, problem: Problem, x: Sequence[Any]) -> list[Any]:
 
 
 def active_at(tree: Tree, problem: Problem, x: Sequence[Any]) -> Active:
-    """At these accelerations, but for the pairs."""
+    """The constraints that push at these accelerations, without those of pairs."""
     slid = rubbed(tree, problem, x)
     ground = ground_residuals(tree, problem.kinematics, problem.ground, x)
     return Active(
@@ -92,7 +92,7 @@ def active_at(tree: Tree, problem: Problem, x: Sequence[Any]) -> Active:
 
 
 def normal_equations(tree: Tree, problem: Problem, active: Active) -> tuple[Matrix, list[Any]]:
-    """All but the pairs: the second derivative, and what it times the minimum is."""
+    """Matrix and right side of the equations of the minimum while these constraints push, without the pairs."""
     stiffness: dict[int, Any] = {}
     pushes: dict[int, Any] = {}
     for points, touch, flags in zip(tree.ground, problem.ground, active.ground, strict=True):

@@ -119,7 +119,7 @@ def _in_any_lane(combined: Callable[..., Any], values: Sequence[Any]) -> Any:
 
 
 def _minimum(tree: Tree, problem: Problem, active: Active) -> tuple[list[Any], Any]:
-    """If these facets and stops push and no others, and which facets of pairs push there."""
+    """The minimum while these constraints push and no others, and the facets of pairs that push there."""
     slots, (matrix, right) = problem.slots, normal_equations(tree, problem, active)
     factors = factor(tree, matrix)
     x = factors.solve(right)
