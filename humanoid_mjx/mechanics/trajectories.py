@@ -30,9 +30,9 @@ class Quintic(NamedTuple):
         """The motion at time t, s. Before the start and after the end the joints rest where they start and end."""
         inside = (t >= 0) & (t <= self.duration)
         t = jnp.clip(t, 0.0, self.duration)
-        position = _polynomial(self.coefficients, t)
-        velocity = _polynomial(_derivative(self.coefficients), t)
-        acceleration = _polynomial(_derivative(_derivative(self.coefficients)), t)
+        position = jnp.polyval(self.coefficients[::-1], t)
+        velocity = jnp.polyval(_derivative(self.coefficients)[::-1], t)
+        acceleration = jnp.polyval(_derivative(_derivative(self.coefficients))[::-1], t)
         return Motion(position, jnp.where(inside, velocity, 0.0), jnp.where(inside, acceleration, 0.0))
 
 
@@ -49,13 +49,6 @@ def thesis_quintics() -> Quintic:
     """The planned trajectories of the five joints, equations 4.35 to 4.39, rad and s."""
     start, end = np.radians(thesis.QUINTIC_RANGES).T
     return rest_to_rest(start, end, thesis.QUINTIC_S)
-
-
-def _polynomial(coefficients: Array, t: FloatScalar) -> Array:
-    value = coefficients[-1]
-    for coefficient in coefficients[-2::-1]:
-        value = value * t + coefficient
-    return value
 
 
 def _derivative(coefficients: Array) -> Array:
