@@ -191,7 +191,7 @@ def policies_of_best(
         if point is None:
             rung = {name: array for name, array in arrays.items() if name in ("point", "rung")}
             point = ranked((), rung | scores(arrays), quickest)[0].point
-        arrays = finished_runs(path, (*names, "policy"), None, point)
+        arrays = finished_runs(path, (*names, "policy"), point)
         cost = arrays["final.greedy_steps"] if quickest else -arrays["final.greedy_return"]
         order, values = np.lexsort((cost, -arrays["final.greedy_success"])), points[point]
     except LookupError as error:

@@ -36,7 +36,7 @@ def write_tables(
     Raises:
       InputError: a file of the checkpoint is damaged or of another training.
     """
-    arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."), folder.digest)
+    arrays = finished_runs(folder.path, ("point", "seed", "curve.", "final.", "time."))
     if not arrays:
         return
     encoded = {name: pa.array(values).dictionary_encode() for name, values in hyper.items()}
@@ -79,11 +79,9 @@ def _columns(
     return rows | (scores(arrays) if table == "summary" else curves)
 
 
-def finished_runs(
-    path: Path, prefixes: tuple[str, ...], digest: str | None = None, *points: int
-) -> dict[str, np.ndarray]:
+def finished_runs(path: Path, prefixes: tuple[str, ...], *points: int) -> dict[str, np.ndarray]:
     """The arrays of `all_runs`; in mode halving those of the last rung that each point has reached."""
-    arrays = all_runs(path, prefixes, digest, *points)
+    arrays = all_runs(path, prefixes, *points)
     if "rung" not in arrays:
         return arrays
     order = np.lexsort((arrays["rung"], arrays["seed"], arrays["point"]))
@@ -106,17 +104,17 @@ def kept_runs(path: Path, prefixes: tuple[str, ...]) -> dict[str, np.ndarray]:
     return arrays
 
 
-def all_runs(path: Path, prefixes: tuple[str, ...], digest: str | None = None, *points: int) -> dict[str, np.ndarray]:
+def all_runs(path: Path, prefixes: tuple[str, ...], *points: int) -> dict[str, np.ndarray]:
     """The arrays of a run folder's finished runs whose names start so, ordered by rung, point and seed.
 
-    `digest`: that of the run's config; by default of `config.yaml`. `points`: leaves out files that hold none of these.
-    Files of points with other static values have policies of other sizes, and curves of other names, which are NaN in
-    the rows of other files. `rung` counts from 0, in mode halving only.
+    `points`: leaves out files that hold none of these. Files of points with other static values have policies of other
+    sizes, and curves of other names, which are NaN in the rows of other files. `rung` counts from 0, in mode halving
+    only.
 
     Raises:
       InputError: a file of the checkpoint is damaged, of another run, or there twice, or policies have other sizes.
     """
-    digest = digest or config_digest(read_config(path))
+    digest = config_digest(read_config(path))
     loaded = {part: read_arrays(part, (*prefixes, "rung"), digest) for part in parts(path)}
     if odd := [part for part, arrays in loaded.items() if not _are_runs(arrays)]:
         raise damaged(odd[0], "is of another training")

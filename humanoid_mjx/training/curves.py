@@ -36,7 +36,7 @@ class Curves:
         self.measures: dict[str, _Measure] = {}
         self.lock = threading.Lock()
         """Held while the measures change."""
-        done = finished_runs(folder.path, ("point", "seed", "curve.", "final."), folder.digest)
+        done = finished_runs(folder.path, ("point", "seed", "curve.", "final."))
         if done:
             self.store(run_numbers(done, len(plan.points), self.seeds), done)
 

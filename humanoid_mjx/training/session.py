@@ -52,7 +52,7 @@ class Session:
                 policies = {name: array for name, array in arrays.items() if name.startswith("policy")}
                 check_finite(policies, f"{part}: it", run_folder.REMOVE)
         most = len(plan.rungs) * len(plan.points) * plan.config.seeds
-        done = all_runs(folder.path, ("point", "seed"), folder.digest)
+        done = all_runs(folder.path, ("point", "seed"))
         self.finished = set(run_numbers(done, len(plan.points), plan.config.seeds).tolist())
         if self.finished and not 0 <= min(self.finished) <= max(self.finished) < most:
             raise InputError(f"{folder.path / 'checkpoint'}: what it holds does not fit this training.")
@@ -93,7 +93,7 @@ class Session:
     def _go_on(self) -> np.ndarray:
         """Begin the next rung. Return its points, as in `Group.points`: the best of the stored rung before."""
         plan, every = self.plan, len(self.plan.points)
-        arrays = all_runs(self.folder.path, ("point", "seed", "curve.", "final."), self.folder.digest)
+        arrays = all_runs(self.folder.path, ("point", "seed", "curve.", "final."))
         arrays = {name: array[arrays["rung"] == self.rung] for name, array in arrays.items()}
         due = plan.rungs[self.rung].points * plan.config.seeds
         if missing := due - len(arrays.get("seed", ())):

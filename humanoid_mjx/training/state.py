@@ -84,7 +84,7 @@ def earlier_policies(group: Group) -> Any:
         points = np.full_like(points, arrays["point"][0])
     if len(arrays["point"]) == 1:
         seeds = np.full_like(seeds, arrays["seed"][0])
-    arrays = finished_runs(path, ("point", "seed", "policy"), None, *np.unique(points).tolist())
+    arrays = finished_runs(path, ("point", "seed", "policy"), *np.unique(points).tolist())
     place = {pair: i for i, pair in enumerate(zip(arrays["point"].tolist(), arrays["seed"].tolist(), strict=True))}
     wanted = list(zip(points.tolist(), seeds.tolist(), strict=True))
     if missing := [pair for pair in wanted if pair not in place]:
