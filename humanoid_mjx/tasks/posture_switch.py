@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 from pydantic import Field, model_validator
 
-from humanoid_mjx.control import Control, Reference
+from humanoid_mjx.control import Control, at_rest
 from humanoid_mjx.control.laws import ComputedTorqueLaw
 from humanoid_mjx.physics import kept_physics
 from humanoid_mjx.physics.base import Controller, Physics, World
@@ -22,7 +22,7 @@ from humanoid_mjx.spec import traced
 from humanoid_mjx.tasks.finite import FiniteTask
 from humanoid_mjx.thesis import leg as leg_thesis
 from humanoid_mjx.thesis import q_learning as thesis
-from humanoid_mjx.types import AnyArray, BoolScalar, FloatScalar, IntScalar
+from humanoid_mjx.types import BoolScalar, FloatScalar, IntScalar
 
 MOVED = (0, 3, 4)
 """Hip pitch, knee and ankle among the joints of a leg."""
@@ -138,12 +138,9 @@ class PostureSwitch(FiniteTask):
         rows = zip(jnp.asarray(self.grid, float), target, strict=True)
         return self.whole_body(jnp.stack([row[place] for row, place in rows]))
 
-    def controller(
-        self, qpos: Float[Array, "10"], qvel: AnyArray | float = 0.0, qacc: AnyArray | float = 0.0
-    ) -> Controller:
-        """The controller that drives both legs towards a state of motion."""
-        still = jnp.zeros_like(qpos)
-        return self.control.follow(Reference(qpos, still + qvel, still + qacc))
+    def controller(self, setpoint: Float[Array, "10"]) -> Controller:
+        """The controller that drives both legs towards a posture at rest."""
+        return self.control.follow(at_rest(setpoint))
 
     @property
     def plant(self) -> Physics:
