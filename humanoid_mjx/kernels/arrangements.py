@@ -22,10 +22,8 @@ def constant(value: Any) -> np.ndarray:
 
 def _broadcast_in_dim(params: dict[str, Any], array: np.ndarray) -> list[np.ndarray]:
     shape, places = params["shape"], params["broadcast_dimensions"]
-    inner = [1] * len(shape)
-    for place, size in zip(places, array.shape, strict=True):
-        inner[place] = size
-    return [np.broadcast_to(array.reshape(inner), shape)]
+    new = [axis for axis in range(len(shape)) if axis not in places]
+    return [np.broadcast_to(np.expand_dims(array, new), shape)]
 
 
 def _slice(params: dict[str, Any], array: np.ndarray) -> list[np.ndarray]:
@@ -42,10 +40,6 @@ def _place(array: np.ndarray, sizes: Sequence[int], starts: Sequence[np.ndarray]
     limits = [full - size for full, size in zip(array.shape, sizes, strict=True)]
     firsts = [min(max(int(start.item()), 0), limit) for start, limit in zip(starts, limits, strict=True)]
     return tuple(slice(first, first + size) for first, size in zip(firsts, sizes, strict=True))
-
-
-def _dynamic_slice(params: dict[str, Any], array: np.ndarray, *starts: np.ndarray) -> list[np.ndarray]:
-    return [array[_place(array, params["slice_sizes"], starts)]]
 
 
 def _dynamic_update_slice(
@@ -71,7 +65,7 @@ ARRANGEMENTS: dict[str, Callable[..., list[np.ndarray]]] = {
     "broadcast_in_dim": _broadcast_in_dim,
     "concatenate": lambda params, *arrays: [np.concatenate(arrays, axis=params["dimension"])],
     "copy": lambda params, array: [array],
-    "dynamic_slice": _dynamic_slice,
+    "dynamic_slice": lambda params, array, *starts: [array[_place(array, params["slice_sizes"], starts)]],
     "dynamic_update_slice": _dynamic_update_slice,
     "iota": _iota,
     "reshape": lambda params, array: [array.reshape(params["new_sizes"])],
