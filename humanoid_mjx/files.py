@@ -147,11 +147,7 @@ def names(kind: str, suffix: str) -> list[str]:
 
 
 def find_config(name: str) -> Path:
-    """The file of a config: a path, or the name of a shipped one.
-
-    Raises:
-      InputError: there is neither.
-    """
+    """Return the file of a config: a path, or the name of a shipped one. Raise an InputError if there is neither."""
     path, shipping = Path(name), names("configs", ".yaml")
     refuse_pipe(path)
     if path.is_file() and kind_of(path) in ("config", None):

@@ -293,11 +293,8 @@ def _import(name: str) -> ModuleType:
 
 
 def package(name: str, extra: str, what: str) -> Any:
-    """Return a package that an extra of this one brings and that `what` needs.
-
-    Raises:
-      InputError: it is not installed.
-    """
+    """Return a package that an extra of this one brings; if it is not installed, raise an InputError that `what` needs
+    it."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

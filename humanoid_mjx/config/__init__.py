@@ -218,11 +218,8 @@ def apply_override(data: dict[str, Any], override: str) -> None:
 
 
 def set_below(data: dict[str, Any], keys: Sequence[str], value: Any, where: str) -> None:
-    """Set the value of nested keys in `data`; mappings on the way are copied, or made where there is none.
-
-    Raises:
-      InputError: a key on the way holds a value; `where` begins the message.
-    """
+    """Set the value of nested keys in `data`; mappings on the way are copied, or made where there is none. If a key on
+    the way holds a value, raise an InputError, which begins with `where`."""
     *parents, last = keys
     for parent in parents:
         below = {} if data.get(parent) is None else data[parent]
@@ -278,11 +275,8 @@ _Loader.add_implicit_resolver(
 
 
 def _size(node: yaml.Node, sizes: dict[yaml.Node, int]) -> int:
-    """Return the number of values of a node, aliases included. `sizes` caches the numbers of earlier nodes.
-
-    Raises:
-      ConstructorError: a node holds itself.
-    """
+    """Return the number of values of a node, aliases included; refuse a node that holds itself. `sizes` caches the
+    numbers of earlier nodes."""
     if isinstance(node, yaml.ScalarNode):
         return 1
     if node not in sizes:

@@ -233,10 +233,7 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
 def run_path(name: str, resume: bool = False, root: Path = Path("runs")) -> Path:
     """Return the path after the last of runs/name, runs/name-2, runs/name-3, ..., or to `resume` the last of them.
-
-    Raises:
-      InputError: there is none to resume.
-    """
+    Raise an InputError if there is none to resume."""
     form, paths = re.compile(rf"{re.escape(name)}(?:-(\d+))?"), root.iterdir() if root.is_dir() else ()
     numbers = [int(match[1] or 1) for path in paths if (match := form.fullmatch(path.name))]
     if resume and not numbers:

@@ -74,11 +74,7 @@ def list_runs(folder: Path) -> tuple[list[Listed], list[str]]:
 
 
 def look_at(path: Path) -> Listed:
-    """One run folder.
-
-    Raises:
-      InputError: it is none, or what it holds is damaged.
-    """
+    """Describe a run folder; raise an InputError if it is none, or what it holds is damaged."""
     config, provenance = read_config(path), read_provenance(path)
     try:
         seeds = int(config.get("seeds", 1))

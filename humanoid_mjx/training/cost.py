@@ -33,11 +33,7 @@ KEPT_TWICE = 2
 
 def runs_at_once(group: Group, pool_size: int | None = None, width: int | None = None) -> int:
     """Return the number of a group's runs that this process trains at once: `pool_size` a device, or as many as its
-    memory holds, on CPUs no more than caches serve well.
-
-    Raises:
-      InputError: not even one fits.
-    """
+    memory holds, on CPUs no more than caches serve well. Raise an InputError if not even one fits."""
     device, devices = jax.local_devices()[0], jax.local_device_count()
     if pool_size:
         return pool_size * devices

@@ -158,11 +158,8 @@ class Pool:
         return state | {"elapsed": np.array(time.monotonic() - self.began)} | to_arrays(self.training, "training")
 
     def restore(self, arrays: dict[str, np.ndarray], where: str) -> None:
-        """Load runs that still wait from an earlier pool's `state` into idle slots.
-
-        Raises:
-          InputError: it is the state of another training.
-        """
+        """Load runs that still wait from an earlier pool's `state` into idle slots. Raise an InputError if it is the
+        state of another training."""
         runs, rows = np.unique(arrays["slots"], return_index=True)
         rows = rows[np.isin(runs, np.array(self.waiting))][: (~self.busy).sum()]
         idle = np.flatnonzero(~self.busy)[: len(rows)]

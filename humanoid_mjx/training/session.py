@@ -36,11 +36,7 @@ class Session:
     """The work on a run folder: what engines give, stored and shown (`chunks.Desk`)."""
 
     def __init__(self, folder: run_folder.RunFolder, plan: Plan, reporter: Reporter, watchers: Sequence[Curves] = ()):
-        """Look at what is stored.
-
-        Raises:
-          InputError: it is damaged.
-        """
+        """Look at what is stored; raise an InputError if it is damaged."""
         self.folder, self.plan, self.reporter, self.watchers = folder, plan, reporter, watchers
         self.watched = max((watcher.points for watcher in watchers), key=len, default=None)
         if self.watched is not None:  # at the last rung

@@ -22,11 +22,7 @@ def to_arrays(tree: Any, prefix: str) -> dict[str, np.ndarray]:
 
 
 def from_arrays(like: Any, arrays: dict[str, np.ndarray], prefix: str, where: str) -> Any:
-    """The pytree of `to_arrays` again; `like` has its structure, shapes and dtypes.
-
-    Raises:
-      InputError: the arrays are of another structure.
-    """
+    """The pytree of `to_arrays` again. Raise an InputError unless it has the structure, shapes and dtypes of `like`."""
 
     def leaf(path: Any, like: Any) -> Any:
         array = arrays.get(prefix + jax.tree_util.keystr(path))
