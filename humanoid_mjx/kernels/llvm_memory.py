@@ -171,8 +171,6 @@ def _address(code: Code, params: dict[str, Any], more: int, place: list[Value]) 
     if isinstance(region, tuple):
         table = code.tables.setdefault(region, len(code.tables))
         return _beyond(code, f"@table{table}", word, place, 1, "zeroinitializer")
-    if isinstance(region, str) and code.width == 1:
-        return _beyond(code, f"%{region}", word, place, 1, "")
     if isinstance(region, str):
         lanes = f"<{', '.join(f'i32 {lane * words}' for lane in range(code.width))}>"
         at = code.vector(place[0] if place else known(0, np.int32))
