@@ -181,13 +181,11 @@ class Pace:
             with suppress(KeyError, FileNotFoundError):  # no lengths, or no run that has ended
                 steps = pq.read_table(folder / "results.parquet", columns=["steps"])["steps"].to_numpy().astype(float)
                 lengths = steps[np.isfinite(steps) & (steps > 0)]
-        if plan.unit == "episode":
-            found = {"steps_per_s": speed * lengths.mean()} if len(lengths) else {}
-            found["episodes_per_s"] = speed
-        else:
-            found = {"steps_per_s": speed}
-            if len(lengths):
-                found["episodes_per_s"] = speed * float(np.mean(1.0 / lengths))
+        found = {f"{plan.unit}s_per_s": speed}
+        if len(lengths) and plan.unit == "episode":
+            found["steps_per_s"] = speed * lengths.mean()
+        elif len(lengths):
+            found["episodes_per_s"] = speed * float(np.mean(1.0 / lengths))
         return {name: float(f"{rate:.4g}") for name, rate in found.items()}
 
 

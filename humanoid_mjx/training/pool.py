@@ -125,8 +125,7 @@ class Pool:
         if not over.any() or not (over.sum() >= HARVEST_SHARE * len(over) or waited or (over == self.busy).all()):
             return None
         results = jax.tree.map(np.asarray, self.finish())
-        arrays = {f"curve.{name}": array for name, array in results["curve"].items()}
-        arrays |= {f"final.{name}": array for name, array in results["final"].items()}
+        arrays = {f"{part}.{name}": each for part in ("curve", "final") for name, each in results[part].items()}
         arrays |= to_arrays(results["policy"], "policy") | {"time.wall_s": self.wall_s}
         runs, stopped = self.slots[over], np.flatnonzero(over & arrays["final.diverged"]).tolist()
         states = to_arrays(self.training, "training") if stopped else {}
