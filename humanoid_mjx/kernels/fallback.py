@@ -24,26 +24,24 @@ WORDS = ("triton", "pallas", "ptx", "mosaic", "nvvm", "libnvjitlink", "humanoid_
 reasons: list[str] = []
 """Reasons why kernels were not made in this process; programs are then not kept for the next process."""
 
-_given_up: list[str] = []
-
-
-def given_up() -> str | None:
-    """Return the reason why this process makes no more kernels; None if it does."""
-    return _given_up[0] if _given_up else None
+given_up: list[str] = []
+"""The reason why this process makes no more kernels, the first of those listed; empty if it makes them."""
 
 
 def why_none() -> str | None:
     """Return the reason why no kernels are made here; None if they are, on a CPU by llvmlite or on a GPU by Triton."""
     backend = jax.default_backend()
-    if backend == "cpu" and not _given_up:
+    if backend == "cpu" and not given_up:
         try:
             importlib.import_module("llvmlite.binding")
         except Exception as error:  # whatever it is, XLA does not need it
-            _given_up.append(warn(error))
+            given_up.append(warn(error))
     major = str(getattr(jax.local_devices()[0], "compute_capability", "")).partition(".")[0]
     if backend == "gpu" and not (major.isdigit() and int(major) >= 8):
         return "the GPU is not of NVIDIA's Ampere or later ones"
-    return given_up() if backend in SLOWER else f"kernels are made for CPUs and GPUs, not for {backend!r}"
+    if backend not in SLOWER:
+        return f"kernels are made for CPUs and GPUs, not for {backend!r}"
+    return given_up[0] if given_up else None
 
 
 _again: ContextVar[bool] = ContextVar("_again", default=False)
@@ -79,7 +77,7 @@ def by_xla_instead(error: Exception) -> None:
     reason = warn(error)
     if _again.get():
         raise error
-    _given_up.append(reason)
+    given_up.append(reason)
 
 
 def with_fallback(function: Callable[..., Any], renew: Callable[[], object] = lambda: None) -> Callable[..., Any]:
@@ -90,14 +88,14 @@ def with_fallback(function: Callable[..., Any], renew: Callable[[], object] = la
 
     @wraps(function)
     def call(*args: Any) -> Any:
-        without, before = bool(_given_up), _again.set(not _given_up)
+        without, before = bool(given_up), _again.set(not given_up)
         try:
             return function(*args)
         except Exception as error:
             said = f"{type(error).__name__} {error}".lower()
             if without or not (_reason(error) in reasons or any(word in said for word in WORDS)):
                 raise
-            _given_up.append(warn(error))
+            given_up.append(warn(error))
         finally:
             _again.reset(before)
         jax.clear_caches()

@@ -152,7 +152,7 @@ def one_kernel(function: Callable[..., Any], *static: Any, lanes: int = 1) -> Ca
 
     def computed(*args: Any) -> Any:
         alone = jax.tree.leaves(args)[0].shape[-1] == 1
-        if not fallback.given_up() and (on_cpu or not alone):
+        if not fallback.given_up and (on_cpu or not alone):
             try:
                 return kernel(*args)
             except Exception as error:  # whatever it is, XLA does not need it
