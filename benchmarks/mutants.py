@@ -39,7 +39,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 TESTS = {
     "learners": "learners/test_tabular learners/test_approximate learners/test_ppo",
-    "control": "control/test_laws control/test_control control/test_drives "
+    "control": "control/test_laws control/test_drives "
     "float64/test_controllers float64/test_ground physics/test_physics",
     "tasks": "tasks/test_gait tasks/test_gym tasks/test_leg_reach tasks/test_squat tasks/test_stand tasks/test_legged "
     "tasks/test_own_tasks tasks/test_posture_switch learners/test_tabular",

@@ -23,7 +23,6 @@ import numpy as np
 import pydantic
 from jax.tree_util import Partial
 
-from humanoid_mjx.control.gains import critical_kd
 from humanoid_mjx.control.ground import NATURAL_FREQUENCY, SERVO_KD, SERVO_KP, SHARE, grounded_torque
 from humanoid_mjx.control.pd import Gain, Joints, Reference, pd, servo
 from humanoid_mjx.control.stages import Stages
@@ -103,8 +102,7 @@ class ModelLaw(Law):
     @property
     def gains(self) -> tuple[Gain, Gain]:
         """kp, 1/s^2, and kd, 1/s."""
-        kp = self.natural_frequency**2
-        return kp, self.damping_ratio * critical_kd(jnp.asarray(kp, float))
+        return self.natural_frequency**2, 2.0 * self.damping_ratio * self.natural_frequency
 
     def acceleration(self, reference: Reference, state: Stages) -> Joints:
         """Joint accelerations to ask for, rad/s^2: the torques of a robot of unit inertias."""

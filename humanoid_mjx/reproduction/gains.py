@@ -2,12 +2,9 @@
 
 from collections.abc import Iterator
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from humanoid_mjx import dynamics
-from humanoid_mjx.control.gains import critical_kd, damping_ratio, max_kp, poles, step_response
 from humanoid_mjx.report.style import COLORS, label_lines, shades
 from humanoid_mjx.reproduction.findings import Finding, Setting, check, compare, experiment, listed, three_digits
 from humanoid_mjx.reproduction.leg_values import over
@@ -20,6 +17,9 @@ CRITICAL = 0.05
 ALUMINIUM = {"modulus": 69e9, "density": 2710.0}
 """Elastic modulus, Pa, and density, kg/m^3, of aluminium 1060, the material of section 3.1."""
 
+RESONANCE_SHARE = 0.5
+"""Largest natural frequency as a share of the lowest resonance (5.37)."""
+
 NEAR, FAR = 0.5, 0.01
 """A gain of the first share of its bound could have been selected by it; one below the second is under its bound
 whatever the links' sections, of which nothing is printed."""
@@ -28,14 +28,16 @@ whatever the links' sections, of which nothing is printed."""
 @experiment("table-5.1", "Gains of the joint controllers")
 def table(setting: Setting) -> Iterator[Finding]:
     """Table 5.1: the damping that its gains give, which section 5.6 wants critical."""
-    kp, kd = jnp.array(thesis.KP), jnp.array(thesis.KD)
-    ratios, critical = np.asarray(damping_ratio(kp, kd)), np.asarray(critical_kd(kp))
-    slow = np.asarray(poles(kp, kd))[0]
-    for joint in range(5):
-        quantity, ratio = f"damping ratio of joint {joint + 1} (critical by 5.35)", float(ratios[joint])
-        why = f"Kd is {kd[joint]:g}, {kd[joint] / critical[joint]:.2f} times the critical {critical[joint]:.2f}: the "
-        why += f"slow pole is {slow[joint]:.2f} /s, not {-np.sqrt(kp[joint]):.2f} /s"
+    for joint, (kp, kd, ratio) in enumerate(zip(thesis.KP, thesis.KD, _damping_ratios(), strict=True)):
+        quantity = f"damping ratio of joint {joint + 1} (critical by 5.35)"
+        why = f"Kd is {kd:g}, {ratio:.2f} times the critical {kd / ratio:.2f}: the slow pole is "
+        why += f"{np.roots([1.0, kd, kp]).real.max():.2f} /s, not {-np.sqrt(kp):.2f} /s"
         yield compare(quantity, 1.0, ratio, CRITICAL, why, 3)
+
+
+def _damping_ratios() -> np.ndarray:
+    """(5,) Those of Table 5.1's gains (5.34)."""
+    return np.array(thesis.KD) / (2 * np.sqrt(thesis.KP))
 
 
 @experiment("resonance-5.6", "What the links' stiffness allows of the gains")
@@ -73,8 +75,8 @@ def _allowed_gains() -> np.ndarray:
     postures = np.random.default_rng(0).uniform(low, high, (2000, 5))
     still, anywhere = (over(dynamics.joint_inertias, Leg.physical(), q) for q in (np.zeros((1, 5)), postures))
     bends = np.array([stiffness[4]] * 4 + [stiffness[5]])
-    frequency = np.sqrt(bends / still[0])
-    return np.asarray(max_kp(frequency, still[0], np.maximum(anywhere.max(axis=0), still[0])), float)
+    resonance = np.sqrt(bends / np.maximum(anywhere.max(axis=0), still[0]))  # (5.36)
+    return (RESONANCE_SHARE * resonance) ** 2
 
 
 RATIOS = np.round(np.arange(0.05, 3.001, 0.01), 2)
@@ -98,7 +100,7 @@ def responses(setting: Setting) -> list[Finding]:
         left.set(xlim=(0, 15), xlabel="time, s", ylabel="response", title="Responses")
         label_lines(left, "damping ratio")
         right.plot(RATIOS, [_settling(times, curve) for curve in curves], color=COLORS[0], label="any ratio")
-        for joint, ratio in enumerate(np.asarray(damping_ratio(jnp.array(thesis.KP), jnp.array(thesis.KD)))):
+        for joint, ratio in enumerate(_damping_ratios()):
             settled = _settling(times, _step_responses(times, ratio[None])[0])
             right.plot(ratio, settled, "o", color=COLORS[joint + 1], label=f"joint {joint + 1}, Table 5.1")
         right.set(xlabel="damping ratio", ylabel="time, s", title=f"Time to stay within {SETTLED:.0%} of the end")
@@ -148,7 +150,9 @@ def _settling(times: np.ndarray, curve: np.ndarray) -> float:
 
 
 def _step_responses(times: np.ndarray, ratios: np.ndarray) -> np.ndarray:
-    """(ratios, times) Responses at a natural frequency of 1 rad/s."""
-    with jax.enable_x64(True):
-        respond = jax.jit(jax.vmap(step_response, in_axes=(None, None, 0)))
-        return np.asarray(respond(times, 1.0, ratios))
+    """(ratios, times) Responses from rest at a natural frequency of 1 rad/s (5.4 to 5.6, corrected), 1 being the end:
+    one formula for all three cases, as the hyperbolic functions of an imaginary number are cosine and sine."""
+    damping = ratios[:, None].astype(complex)
+    root = np.sqrt(damping**2 - 1)
+    root[root == 0] = 1e-9  # the limit of critical damping
+    return 1 - (np.exp(-damping * times) * (np.cosh(root * times) + damping / root * np.sinh(root * times))).real

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 from test_ground_experiments import carried
 
 from humanoid_mjx.reproduction import (
@@ -197,9 +198,15 @@ def test_nothing_printed_is_no_verdict():
         Finding("y", 1.0, 1.0, None, "finding", "why")
 
 
-def test_critical_damping_is_the_fastest_without_overshoot(monkeypatch):
-    from humanoid_mjx.reproduction import gains
+def test_responses_are_those_of_scipy():
+    times, ratios = np.linspace(0.0, 30.0, 1501), np.array([0.0, 0.05, 0.97, 1.0, 1.0005, 2.0, 3.0])
+    found = gains._step_responses(times, ratios)
+    for ratio, response in zip(ratios, found, strict=True):
+        reference = lsim(([1.0], [1.0, 2.0 * ratio, 1.0]), np.ones_like(times), times)[1]
+        np.testing.assert_allclose(response, reference, rtol=0, atol=1e-10)
 
+
+def test_critical_damping_is_the_fastest_without_overshoot(monkeypatch):
     times = np.linspace(0.0, 30.0, 6001)
     right = gains._step_responses(times, gains.RATIOS)
     fastest, close, stable = (f.verdict for f in gains.judge_responses(times, right))

@@ -84,3 +84,10 @@ def test_mujoco_refuses_what_it_cannot_simulate():
         make_mjspec(leg.scaled(jnp.array([1.0, 1.0, 0.0, 1.0, 1.0])))
     with pytest.raises(InputError, match="one chain"):
         make_mjspec(jax.vmap(leg.scaled)(jnp.ones(2)))
+
+
+def test_a_chain_without_a_last_mass_carries_nothing():
+    rods = np.array(Leg.physical().pseudo_inertia)
+    rods[-1] = 0.0
+    with pytest.raises(InputError, match="must have a mass"):
+        Leg.from_links(thesis.LINK_LENGTHS, rods).carrying(0.1)
