@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import cycle, product
+from itertools import combinations, cycle, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.report.drawing import COUNTED, CURVES, HEAT_MAPS, TERMS, draw_band, over_seeds, possible
-from humanoid_mjx.report.parameters import draw_importance, draw_parallel, draw_points, heat_maps
+from humanoid_mjx.report.parameters import draw_importance, draw_map, draw_parallel, draw_points, limits
 from humanoid_mjx.report.style import COLORS, count_axis, figure, label_lines, shades
 from humanoid_mjx.runs.curves import Learning, read_learning
 from humanoid_mjx.runs.folder import read_config
@@ -55,7 +55,9 @@ def sweep_figures(folder: Path, title: str, learning: Learning) -> list[Path]:
         side_by_side(paths[-1], f"{title}: {EFFECTS[learning.mode]}", others)
     for name in mapped(learning):
         paths.append(folder / f"{name}.png")
-        heat_maps(paths[-1], f"{title}: {HEAT_MAPS[name]}", learning, name)
+        of = "mean" if name == "greedy_success" else "median"
+        heading = f"{title}: {HEAT_MAPS[name]}, {of} over seeds; yellow is best"
+        side_by_side(paths[-1], heading, heat_maps(learning, name))
     return paths
 
 
@@ -71,6 +73,17 @@ EFFECTS = {
 def mapped(learning: Learning) -> list[str]:
     """The measures worth a heat map: a grid has two swept parameters, and the measure is not the same everywhere."""
     return _final(learning) if len(learning.axes) > 1 else []
+
+
+def heat_maps(learning: Learning, name: str) -> list[Figure]:
+    """A map of a measure for every two swept parameters; of more than two with the best setting of the others, and with
+    the mean over them. All share their colours."""
+    several = {",\nthe best setting of the others": True, ",\nthe mean over the others": False}
+    ways, span = several if len(learning.axes) > 2 else {"": False}, limits(learning, name)
+    return [
+        Figure(f"{pair[0]} and {pair[1]}{of}", partial(draw_map, learning, pair, name, span, best))
+        for (of, best), pair in product(ways.items(), combinations(learning.axes, 2))
+    ]
 
 
 def _final(learning: Learning) -> list[str]:

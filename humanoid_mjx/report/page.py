@@ -7,7 +7,6 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from html import escape
-from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,8 @@ from humanoid_mjx.evaluation.film import driven_films, show
 from humanoid_mjx.evaluation.policy import StoredPolicy, find_policy, on_native, on_plane
 from humanoid_mjx.evaluation.replay import remarks
 from humanoid_mjx.report.drawing import HEAT_MAPS
-from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, mapped, parameters
+from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, heat_maps, mapped, parameters
 from humanoid_mjx.report.learned import learned
-from humanoid_mjx.report.parameters import draw_map, limits
 from humanoid_mjx.report.rendering import strip
 from humanoid_mjx.report.scene import player
 from humanoid_mjx.report.style import figure
@@ -67,7 +65,9 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     if others := parameters(learning):
         parts["What matters"] = [text(_capital(EFFECTS[learning.mode]) + "."), _panels(others)]
     if maps := mapped(learning):
-        parts["Two parameters at a time"] = _maps(learning, maps)
+        words = "Success is a mean over seeds, steps a median. Maps of a measure share colours: yellow is best."
+        found = (text(_capital(HEAT_MAPS[name]), "h3") + _panels(heat_maps(learning, name)) for name in maps)
+        parts["Two parameters at a time"] = [text(words), *found]
     if trained and config["learner"]["name"] == "tabular_q":
         reporter.phase("drawing its table")
         words, tables = learned(trained)
@@ -155,7 +155,7 @@ def _row(axes: Sequence[str | None], each: Figure) -> list[str]:
         last = ", ".join(f"{label}: {value:.4g}" for label, value in (end or {}).items())
         by = f" by {axis}" if axis else ""
         words = f"{each.title}{by}" + f"; at the end {last}" * bool(last)
-        found.append(_figure(file.getvalue(), words, axis or _capital(each.title), lines=data))
+        found.append(_figure(file.getvalue(), ".svg", words, axis or _capital(each.title), data))
     return found
 
 
@@ -174,23 +174,6 @@ def _lines(panel: Any) -> dict[str, Any]:
     return {"box": [box.x0, 1 - box.y1, box.x1, 1 - box.y0], "x": panel.get_xlim(), "scale": scale, "lines": lines}
 
 
-def _maps(learning: Learning, names: Sequence[str]) -> list[str]:
-    ways = {"the best setting of the others": True, "the mean over the others": False}
-    ways = ways if len(learning.axes) > 2 else {"all settings": False}
-    parts = [text("Success is a mean over seeds, steps a median. Maps of a measure share colours: yellow is best.")]
-    for name in names:
-        span = limits(learning, name)
-        pictures = []
-        for (of, best), pair in product(ways.items(), combinations(learning.axes, 2)):
-            file = io.BytesIO()
-            with figure(file, 1, 1, size=PANEL) as (fig, panels):
-                fig.colorbar(draw_map(panels[0, 0], learning, pair, name, span, best), ax=panels[0, 0])
-            words = f"{HEAT_MAPS[name]} by {pair[0]} and {pair[1]}: {of}"
-            pictures.append(_figure(file.getvalue(), words, f"{pair[0]} and {pair[1]}: {of}"))
-        parts.append(text(_capital(HEAT_MAPS[name]), "h3") + _grid(pictures))
-    return parts
-
-
 def _grid(pictures: Iterable[str], kind: str = "") -> str:
     return f'<div class="grid{kind}">{"".join(pictures)}</div>'
 
@@ -206,7 +189,7 @@ def _motion(trained: StoredPolicy, reporter: Reporter) -> list[str]:
     for frame, seconds in strip(film):
         file = io.BytesIO()
         Image.fromarray(frame).save(file, "JPEG", quality=88)
-        pictures.append(_figure(file.getvalue(), f"The robot after {seconds:.2f} s", f"{seconds:.2f} s", ".jpg"))
+        pictures.append(_figure(file.getvalue(), ".jpg", f"The robot after {seconds:.2f} s", f"{seconds:.2f} s"))
     reporter.phase("simulating commands")
     films = driven_films(trained, DRIVEN_S)
     together = text("Under commands that stay; the films play together", "h3")
@@ -286,12 +269,11 @@ def _file_name(config: Mapping[str, Any]) -> str:
     return name.lstrip("-") or "run"
 
 
-def _figure(data: bytes, alt: str, caption: str, kind: str = ".svg", lines: Mapping[str, Any] | None = None) -> str:
+def _figure(data: bytes, kind: str, alt: str, caption: str, lines: Mapping[str, Any] | None = None) -> str:
     """A picture with a caption; `lines` is what the page shows below the pointer (`_lines`)."""
-    below = text(caption, "figcaption") if caption else ""
     hover = f' data-lines="{escape(json.dumps(lines))}"' if lines and lines["lines"] else ""
-    look = {".svg": ' class="map"' if lines is None else ' class="curves"'}.get(kind, "")
-    return f"<figure{look}{hover}>{image(data, kind, alt)}{below}</figure>"
+    look = ' class="curves"' if kind == ".svg" else ""
+    return f"<figure{look}{hover}>{image(data, kind, alt)}{text(caption, 'figcaption')}</figure>"
 
 
 def _note(words: object, kind: str = "span") -> str:

@@ -1,7 +1,6 @@
 """Figures of what the parameters of a sweep do: each alone, which of them matters, two at a time."""
 
-from itertools import combinations, product
-from pathlib import Path
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ from jaxtyping import Float, Num
 from scipy.special import stdtrit
 
 from humanoid_mjx.report.drawing import cell_mean
-from humanoid_mjx.report.style import COLORS, figure, is_geometric, log_axis, plt
+from humanoid_mjx.report.style import COLORS, is_geometric, log_axis, plt
 from humanoid_mjx.runs.curves import Learning
 from humanoid_mjx.runs.ranking import MEASURES, Judged, find_levels, short
 
@@ -93,23 +92,16 @@ def draw_parallel(learning: Learning, panel: Any, _: str | None) -> None:
     panel.set_ylim(-0.08, 1.08)
 
 
-def heat_maps(path: Path, title: str, learning: Learning, name: str) -> None:
-    """A panel for every two swept parameters, in a row for the mean over all others, and one for the best of these."""
-    pairs, rows = list(combinations(learning.axes, 2)), ["mean"] if len(learning.axes) < 3 else ["best setting", "mean"]
-    others = f"; of the other parameters the {' (above) and the '.join(rows)}" if len(rows) > 1 else ""
-    of = "mean" if name == "greedy_success" else "median"
-    heading, span = f"{title}: {of} over seeds{others}; yellow is best", limits(learning, name)
-    with figure(path, len(rows), len(pairs), (4.2, 3.4), heading) as (fig, panels):
-        for (row, of), (column, pair) in product(enumerate(rows), enumerate(pairs)):
-            image = draw_map(panels[row, column], learning, pair, name, span, of != "mean")
-        if span[0] < span[1]:
-            fig.colorbar(image, ax=list(panels.flat), fraction=0.03, pad=0.01)
-
-
 def draw_map(
-    panel: Any, learning: Learning, pair: tuple[str, str], name: str, span: tuple[float, float], best: bool = False
-) -> Any:
-    """One heat map, its colours from the first to the second value of `span`; the image.
+    learning: Learning,
+    pair: tuple[str, str],
+    name: str,
+    span: tuple[float, float],
+    best: bool,
+    panel: Any,
+    _: str | None,
+) -> None:
+    """One heat map, its colours from the first to the second value of `span`.
 
     `best`: of each cell the best setting of the other parameters, in place of the mean over them.
     """
@@ -117,6 +109,7 @@ def draw_map(
     cells, upwards = map_cells(learning, pair, name, best), best_is_most(learning, name)
     colors = "cividis" if upwards else "cividis_r"
     image = panel.imshow(cells, origin="lower", aspect="auto", cmap=colors, vmin=span[0], vmax=span[1])
+    panel.figure.colorbar(image, ax=panel)
     panel.grid(False)
     for set_ticks, axis, of in zip((panel.set_xticks, panel.set_yticks), pair, levels, strict=True):
         every = -(-len(of.labels) // MAX_LABELS)
@@ -134,7 +127,6 @@ def draw_map(
                 written = f"{value:.{places}f}".removeprefix("0" if 0 < abs(value) < 1 else "")
                 look = {"fontsize": 6 if cells.size > 30 else 8, "color": "white" if dark else "black"}
                 panel.text(column, row, written, ha="center", va="center", **look)
-    return image
 
 
 def of_points(learning: Learning, name: str) -> Float[np.ndarray, " points"]:

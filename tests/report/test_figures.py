@@ -101,11 +101,12 @@ def test_parallel_coordinates_have_a_line_for_each_point(panel):
 
 def test_a_heat_map_is_of_the_best_setting_or_the_mean(panel):
     learning = learned()
-    image = draw_map(panel, learning, ("learner.epsilon", "learner.rate"), "greedy_steps", (5.0, 9.0), best=True)
+    axes = "learner.epsilon", "learner.rate"
+    draw_map(learning, axes, "greedy_steps", (5.0, 9.0), True, panel, None)
     steps, success = (learning.finals(name) for name in ("greedy_steps", "greedy_success"))
-    np.testing.assert_allclose(image.get_array(), np.median(steps, axis=1).reshape(3, 2).T)
-    image = draw_map(panel, learning, ("learner.epsilon", "learner.rate"), "greedy_success", (0.0, 1.0), best=True)
-    np.testing.assert_allclose(image.get_array(), success.mean(axis=1).reshape(3, 2).T)
+    np.testing.assert_allclose(panel.images[-1].get_array(), np.median(steps, axis=1).reshape(3, 2).T)
+    draw_map(learning, axes, "greedy_success", (0.0, 1.0), True, panel, None)
+    np.testing.assert_allclose(panel.images[-1].get_array(), success.mean(axis=1).reshape(3, 2).T)
 
 
 def test_a_local_mean_finds_a_line_and_covers_it():
