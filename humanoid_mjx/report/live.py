@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live
-from humanoid_mjx.report.scene import make_scene, player_figure, posed, poses, rounded, scene_data, shape_of
+from humanoid_mjx.report.scene import make_scene, player, posed, poses, rounded, scene_data, shape_of
 from humanoid_mjx.report.server import LOOPBACK, Server
 from humanoid_mjx.report.web import page
 from humanoid_mjx.robot.description import two_digits
@@ -156,7 +156,7 @@ class Window:
             "legs": _legs(live),
             "first": self.now(),
         }
-        return page(title, player_figure(data, title, "<p>This needs JavaScript.</p>"), live=True).encode()
+        return page(title, player(data, "<p>This needs JavaScript.</p>"), live=True).encode()
 
     def frames(self) -> Iterator[str]:
         """The frames as they come, the newest only where its reader is slow, and one a second where none comes."""

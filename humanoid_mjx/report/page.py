@@ -22,7 +22,7 @@ from humanoid_mjx.report.drawing import HEAT_MAPS
 from humanoid_mjx.report.figures import EFFECTS, Figure, averaged, by_value, curved, heat_maps, mapped, parameters
 from humanoid_mjx.report.learned import learned
 from humanoid_mjx.report.rendering import strip
-from humanoid_mjx.report.scene import player
+from humanoid_mjx.report.scene import film_data, player
 from humanoid_mjx.report.style import figure
 from humanoid_mjx.report.web import contents, data_address, facts, image, link, page, section, table, text
 from humanoid_mjx.robot.differences import HEADINGS, differences_of
@@ -55,7 +55,8 @@ def run_page(path: Path, reporter: Reporter, motion: bool) -> str:
     run, trained = _config(config, axes, summary), None
     try:
         trained = find_policy(path)
-        run += _differences(trained.learner.task)
+        if rows := differences_of(trained.learner.task):
+            run += [text("Its robot and the MJCF", "h3"), table(HEADINGS, rows)]
     except InputError as error:
         run.append(_note(error))
     parts = {
@@ -193,9 +194,9 @@ def _motion(trained: StoredPolicy, reporter: Reporter) -> list[str]:
     reporter.phase("simulating commands")
     films = driven_films(trained, DRIVEN_S)
     together = text("Under commands that stay; the films play together", "h3")
-    driven = [together, _grid(map(player, films))] if films else []
+    driven = [together, _grid(player(film_data(film)) for film in films)] if films else []
     words = f"The best policy in the first held-out episode: {outcome}."
-    return [text(words), player(film, still=NO_SCRIPT), _grid(pictures, " strip"), *driven]
+    return [text(words), player(film_data(film), NO_SCRIPT), _grid(pictures, " strip"), *driven]
 
 
 def _config(config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str, np.ndarray]) -> list[str]:
@@ -208,12 +209,6 @@ def _config(config: Mapping[str, Any], axes: Sequence[str], summary: Mapping[str
     save = link(f"Save as {name}", data_address(yaml.encode(), "text/yaml"), name)
     parts = [table(("swept parameter", "values", ""), swept)] if swept else []
     return [*parts, text("The config, with all defaults:"), text(yaml.rstrip(), "pre"), f"<p>{save}</p>"]
-
-
-def _differences(task: Any) -> list[str]:
-    """The table of what a task's robot has otherwise than its MJCF; nothing where it has no MJCF of its own."""
-    rows = differences_of(task)
-    return [text("Its robot and the MJCF", "h3"), table(HEADINGS, rows)] if rows else []
 
 
 def _provenance(provenance: Mapping[str, Any]) -> list[str]:

@@ -188,17 +188,12 @@ PLAYER_FPS = 25.0
 """Postures per second that a page holds; the player draws what lies between."""
 
 
-def player(film: Film, *, still: str = "") -> str:
-    """The HTML of a player; `still` is what stands in its place without JavaScript, as HTML."""
-    return player_figure(film_data(film), film.title, still)
-
-
-def player_figure(data: dict[str, Any], title: str, still: str) -> str:
-    """The HTML that `player.js` makes a player of."""
+def player(data: dict[str, Any], still: str = "") -> str:
+    """The HTML that `player.js` makes a player of; `still` is what stands there without JavaScript, as HTML."""
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     return (
         f'<figure class="player"><div class="stage">{still}</div>'
-        f'<script type="application/json">{text}</script><figcaption>{escape(title)}</figcaption></figure>'
+        f'<script type="application/json">{text}</script><figcaption>{escape(data["title"])}</figcaption></figure>'
     )
 
 

@@ -13,7 +13,7 @@ from humanoid_mjx.evaluation.film import Film, Push
 from humanoid_mjx.report.drawing import CURVES
 from humanoid_mjx.report.figures import curved
 from humanoid_mjx.report.page import _row
-from humanoid_mjx.report.scene import player
+from humanoid_mjx.report.scene import film_data, player
 from humanoid_mjx.report.web import contents, page, section, table, text
 from humanoid_mjx.robot import make_robot
 
@@ -33,7 +33,7 @@ def address(tmp_path_factory):
     wide = table([f"learner.{HOSTILE}"] * 12, [[f"{i} {HOSTILE}" for i in range(12)]] * 3)
     body = section(HOSTILE, text(HOSTILE), text("x" * 400, "pre"), wide)
     file = tmp_path_factory.mktemp("page") / "page.html"
-    file.write_text(page(HOSTILE, body + section("The robot", player(film, still="<p>No script here.</p>"))))
+    file.write_text(page(HOSTILE, body + section("The robot", player(film_data(film), "<p>No script here.</p>"))))
     return file.as_uri()
 
 
