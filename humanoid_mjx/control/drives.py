@@ -38,11 +38,7 @@ class Drive(Named):
         raise NotImplementedError
 
     def check(self, robot: Robot, timestep: float) -> None:
-        """Refuse a robot that this actuator model does not fit, at time steps of `timestep` seconds.
-
-        Raises:
-          InputError: the model does not fit the robot or the time step.
-        """
+        """Raise an InputError for a robot that this model does not fit, at time steps of `timestep` seconds."""
 
 
 class Ideal(Drive):

@@ -74,11 +74,7 @@ class Film(NamedTuple):
 
 
 def film_of(trained: StoredPolicy, played: Played, title: str) -> Film:
-    """The film of a played episode.
-
-    Raises:
-      InputError: the policy's task moves no robot, or its states hold no World.
-    """
+    """The film of a played episode; raises as `robot_of` and `world_of`."""
     model, (qpos, step_s) = robot_of(trained), rows_of(trained, played)
     period: float = trained.learner.task.period
     words = pairwise(["", *map(in_words, played.told)])
@@ -102,11 +98,8 @@ def _level(film: Film, terrain: Terrain, trained: StoredPolicy) -> Film:
 
 
 def show(trained: StoredPolicy, reporter: Reporter, episode: int = 0) -> tuple[Film, str]:
-    """Play a policy's held-out episode of this number; 0 is the first. Return its film, and its end in a sentence.
-
-    Raises:
-      InputError: the policy's task moves no robot.
-    """
+    """Play a policy's held-out episode of this number; 0 is the first. Return its film, and its end in a sentence;
+    raises as `film_of`."""
     robot_of(trained)
     period: float = trained.learner.task.period
     reporter.phase("compiling")

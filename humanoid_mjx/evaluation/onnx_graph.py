@@ -56,13 +56,8 @@ def to_onnx(
     outputs: Sequence[str],
     metadata: Mapping[str, str],
 ) -> bytes:
-    """Return a function as an ONNX model.
-
-    Args:
-      function: takes the arrays of `inputs` in their order, and returns a tuple of arrays.
-      inputs: shapes and types by name.
-      outputs: names of the results.
-      metadata: texts that the model carries, by key.
+    """Return a function of arrays of these shapes and types, by name, as an ONNX model that carries texts by key. The
+    function returns a tuple of arrays, whose names are `outputs`.
 
     Raises:
       InputError: the package onnx is missing, or the function has an operation that is not translated.

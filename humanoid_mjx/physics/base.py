@@ -189,11 +189,8 @@ class Physics(Spec):
         return where(mask, self.start(qpos, qvel), world)
 
     def step(self, world: World, controller: Controller) -> tuple[World, Any]:
-        """Ask the controller for a torque, and move by one time step.
-
-        Returns:
-          the new world, and the torque that acted, N m: the controller's within the torque limit.
-        """
+        """Ask the controller for a torque, and move by one time step; return the new world, and the torque that acted,
+        N m: the controller's within the torque limit."""
         raise NotImplementedError
 
     def run(self, world: World, controller: Controller, cycles: int) -> World:

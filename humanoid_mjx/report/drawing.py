@@ -93,11 +93,8 @@ def draw_line(
 ) -> tuple[float, int]:
     """Draw one line as `draw_band` does from rows of a table: the value of a seed at a place is the mean of its rows.
 
-    Args:
-      x: (rows,) of numbers.
-      seed: (rows,) of integers.
-      y: (rows,) of numbers, NaN where there is none.
-      place: (rows,) Which rows belong together; by default those of equal `x`. A place is drawn at its mean `x`.
+    `y` is NaN where there is none. `place` says which rows belong together, by default those of equal `x`; a place is
+    drawn at its mean `x`.
     """
     places, p = np.unique(x if place is None else place, return_inverse=True)
     seeds, s = np.unique(seed, return_inverse=True)

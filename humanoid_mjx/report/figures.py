@@ -36,11 +36,8 @@ class Figure(NamedTuple):
 
 
 def draw_run(run: Run, summary: Mapping[str, np.ndarray]) -> tuple[Learning, list[Path]]:
-    """Draw all figures of a run, whose table of summaries is given, into its folder.
-
-    Returns:
-      the run's learning curves, and the paths of what was drawn.
-    """
+    """Draw all figures of a run, whose table of summaries is given, into its folder; its learning curves, and the paths
+    of what was drawn."""
     config = run.config
     learning = read_learning(run.path, read_config(run.path), summary, config.episodes is not None)
     return learning, sweep_figures(run.path / "figures", config.name, learning)
@@ -182,11 +179,7 @@ def _drawn(
 
 
 def draw_curves(learning: Learning, name: str, panel: Any, axis_name: str | None) -> dict[str, float]:
-    """One panel of learning curves.
-
-    Returns:
-      the last value of each solid line by its label; NaN where there is none.
-    """
+    """One panel of learning curves; the last value of each solid line by its label, NaN where there is none."""
     lines, x, ends = _drawn(learning, axis_name, learning.read(name)), learning.places, {}
     dashed: dict[str, Any] = {"band": False, "linestyle": "--", "linewidth": 0.9, "alpha": 0.8}
     for _, color, _, mean in lines:

@@ -99,11 +99,8 @@ def _train(learner: TabularQ, key: Key[Array, ""], episodes: IntScalar) -> tuple
 
 
 def draw_learned(path: Path, out: Path | None) -> tuple[Path, list[str]]:
-    """Draw the table of a run folder's best run, as a film where the file is one: the file, and sentences on it.
-
-    Raises:
-      InputError: as `find_policy` and `learned`, or the film cannot be written.
-    """
+    """Draw the table of a run folder's best run, as a film where the file is one: the file, and sentences on it. Raises
+    as `find_policy`, `learned` and `write_frames`."""
     if out and out.suffix in FILMS:
         check_file(out)
         words, figures = learned(find_policy(path), film=True)

@@ -149,12 +149,8 @@ class Painter:
         return (geom >= 0) & (depth < 1.0 - GRAZE_M / LAMP_M)
 
     def _cast(self, data: mujoco.MjData, origin: Vector, rays: Rays) -> tuple[Depths, Kinds, Rays]:
-        """Cast rays from one point.
-
-        Returns:
-          how many times its own length each ray goes until it meets a geom; the number of that geom, -1 for none; and
-          the unit vector that points outwards there.
-        """
+        """Cast rays from one point: how many times its own length each ray goes until it meets a geom; the number of
+        that geom, -1 for none; and the unit vector that points outwards there."""
         count = len(rays)
         depth, geom, normal = np.empty(count), np.empty(count, np.int32), np.empty(3 * count)
         groups, far = np.array([1, 0, 0, 0, 0, 0], np.uint8), mujoco.mjMAXVAL

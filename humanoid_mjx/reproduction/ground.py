@@ -125,13 +125,8 @@ def play(
     config: Mapping[str, Mapping[str, float]],
     tell: Callable[[str], None] = lambda words: None,
 ) -> dict[Trial, Path]:
-    """Simulate trials, some at once.
-
-    Args:
-      trials: trials without repetition.
-      seconds: duration, a multiple of the time step.
-      config: the gains of `laws_of`.
-      tell: called with the progress in words.
+    """Simulate trials without repetition, some at once, for a multiple of the time step, under the laws of a config
+    (`laws_of`); `tell` is called with the progress in words.
 
     Raises:
       InputError: an unknown gait, or gains that no controller takes.
@@ -158,11 +153,8 @@ def laws_of(config: Mapping[str, Mapping[str, float]]) -> dict[str, control.Law]
 
     `servo` is plain; `computed torque` keeps within the contacts (`control.ground`); that of `section 5.7` has the
     gains of Table 5.1, ignores contacts and treats the torso as fixed. In `servo, rolls held` the servo acts on a body
-    as if without hip rolls: they are held where they are.
-
-    Args:
-      config: under `servo` the stiffness and damping of every servo, under `computed_torque` the other gains of the
-        law `grounded`.
+    as if without hip rolls: they are held where they are. The config has under `servo` the stiffness and damping of
+    every servo, under `computed_torque` the other gains of the law `grounded`.
 
     Raises:
       InputError: a gain that no law takes.
@@ -298,15 +290,8 @@ def ground_wrench(
 
 
 def zero_moment_point(force: Float[np.ndarray, "times 3"], moment: Float[np.ndarray, "times 3"]) -> np.ndarray:
-    """Return the points on the plane z = 0 at which a wrench has no moment about x and y, (times, 2), m.
-
-    Args:
-      force: force, N, in the world's frame, z up.
-      moment: moment about the world's origin, N m.
-
-    Returns:
-      x and y; NaN where the force does not push the ground, as in flight.
-    """
+    """Return the points on the plane z = 0 at which a wrench has no moment about x and y, (times, 2), m: of a force, N,
+    and a moment about the world's origin, N m. NaN where the force does not push the ground, as in flight."""
     up = np.where(force[:, 2:] > 0, force[:, 2:], np.nan)
     return np.stack([-moment[:, 1], moment[:, 0]], axis=1) / up
 

@@ -149,10 +149,8 @@ def motors(setting: Setting) -> list[Finding]:
 def judge_tracking(errors: np.ndarray) -> Finding:
     """The finding on section 5.3's claim that a highly geared joint tracks well though its controller ignores d.
 
-    No rotor and no gear is printed, so there is a verdict only where it is the same for all of them.
-
-    Args:
-      errors: (rotors, gears) Largest errors of the worst joint, rad, by `ROTORS` and `HIGH`.
+    No rotor and no gear is printed, so there is a verdict only where it is the same for all of them. `errors`: the
+    largest of the worst joint, (rotors, gears), rad, by `ROTORS` and `HIGH`.
     """
     tracks = errors <= TRACKS
     quantity = f"largest error of the planned motion without d, rad, by rotor and gears of {listed(HIGH)}"

@@ -179,11 +179,8 @@ def together(setting: Setting) -> list[Finding]:
 
 
 def _draw(setting: Setting, joint: int, errors: Mapping[str, np.ndarray]) -> None:
-    """Angle of a joint under each controller and its distance from the plan, beside the printed values.
-
-    Args:
-      errors: by what a controller is called, the plan less the joint's angle at even times, rad.
-    """
+    """Angle of a joint under each controller and its distance from the plan, beside the printed values. `errors`: by
+    what a controller is called, the plan less the joint's angle at even times, rad."""
     times = np.linspace(0, thesis.QUINTIC_S, len(next(iter(errors.values()))))
     plan = planned(times).position[:, joint]
     last = (thesis.QUINTIC_S - 0.3, thesis.QUINTIC_S)
@@ -255,12 +252,8 @@ def _motions(kp: tuple[float, ...], kd: tuple[float, ...]) -> dict[Variant, np.n
 
 
 def _errors(variants: Sequence[Variant], gains: Sequence[tuple[np.ndarray, ...]]) -> np.ndarray:
-    """(variants, points, 5) Errors of variants of one law, rad, from time 0 on; infinite where one diverges.
-
-    Args:
-      gains: of each kp, kd and that of the integral, 1/s^3, and where its plan begins, rad, (5,) each; the leg begins
-        at 0.
-    """
+    """(variants, points, 5) Errors of variants of one law, rad, from time 0 on; infinite where one diverges. `gains`:
+    of each kp, kd and that of the integral, 1/s^3, and where its plan begins, rad, (5,) each; the leg begins at 0."""
     models = _models()
     cases = [
         (v.rate, v.acceleration, models[v.leg], models[v.model], *own) for v, own in zip(variants, gains, strict=True)

@@ -107,21 +107,15 @@ def play_scenarios(
     agents: Sequence[str] = ("greedy",),
     tell: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, dict[str, np.ndarray]]:
-    """The figures of every held-out episode under every scenario, by agent and name of the figure.
+    """The figures of every held-out episode under every scenario, by agent and name of the figure: for "greedy" arrays
+    of shape (seeds, scenarios, episodes), for the others (1, scenarios, episodes). Raises as `walking_task`.
 
     Args:
       learner: whose task is played, with its pushes.
       policies: what was learned, a pytree whose leaves lead with an axis of training seeds.
-      scenarios: such as `scenarios_of` the robot.
       seconds: length of an episode, s.
       agents: some of `AGENTS`.
       tell: called with how many of all episodes have been played, once some have.
-
-    Returns:
-      for "greedy" arrays of shape (seeds, scenarios, episodes), for the others (1, scenarios, episodes).
-
-    Raises:
-      InputError: the task moves no body by commands.
     """
     task: Any = walking_task(learner.task)
     # No task gives another command before an episode ends.
@@ -234,11 +228,7 @@ class Measured(NamedTuple):
 
 def trained_seeds(names: Sequence[str], point: int | None = None, overrides: Sequence[str] = ()) -> list[StoredPolicy]:
     """All runs of the best point of each run folder named, or of the point of this number, and the policies that are
-    named themselves.
-
-    Raises:
-      InputError: as `find_policy`; or a policy's task moves no body by commands.
-    """
+    named themselves. Raises as `find_policy` and `walking_task`."""
     found: list[StoredPolicy] = []
     for name in names:
         folder = Path(name).is_dir()

@@ -30,11 +30,8 @@ class Live:
     """A policy that plays without an end. `run` moves its robots in its own thread; any other may set what it reads."""
 
     def __init__(self, trained: StoredPolicy, episode: int = 0, robots: int = 1):
-        """Take a policy's task to a stage with so many robots, each in an episode of its own from `episode` on.
-
-        Raises:
-          InputError: the task moves no robot.
-        """
+        """Take a policy's task to a stage with so many robots, each in an episode of its own from `episode` on; raises
+        as `robot_of`."""
         robot_of(trained)
         self.touchable, trained = True, on_plane(trained)
         try:
