@@ -12,14 +12,12 @@ from typing import Any, Literal
 import jax
 import mujoco
 import numpy as np
-from jax.core import Tracer
 from pydantic import Field
 
 from humanoid_mjx.robot.chain import Chain
 from humanoid_mjx.robot.description import Robot, add_motors_and_imu
 from humanoid_mjx.robot.leg import FRAME_0, HIP_DIAMETER, MIRROR, SHANK_DIAMETER, Leg
 from humanoid_mjx.robot.lower_body import JOINTS, SIDES, Ranges
-from humanoid_mjx.spec import InputError
 from humanoid_mjx.thesis.leg import GRAVITY, JOINT_NAMES, JOINT_RANGES
 
 SMALLEST_INERTIA = 1e-13
@@ -31,12 +29,7 @@ def add_chain(parent: Any, chain: Chain, joint_names: Sequence[str], prefix: str
     """Add a chain's bodies, called `prefix`link1, link2, ..., to the body that is its frame 0; the last of them.
 
     A mirrored chain is the chain's image across the plane y = 0 of its frame 0; equal angles are images of each other.
-
-    Raises:
-      InputError: the values are traced or batched, or a link has no mass.
     """
-    if isinstance(chain.d, Tracer) or chain.d.ndim != 1:
-        raise InputError("a MuJoCo model needs one chain with concrete values, outside jit and vmap.")
     structure, body = chain.structure, parent
     side = np.array([1.0, -1.0 if mirrored else 1.0, 1.0])
     # A reflection turns rotations the other way: what is an axis for points is its opposite for angles.
@@ -57,8 +50,6 @@ def add_chain(parent: Any, chain: Chain, joint_names: Sequence[str], prefix: str
 
 def _set_inertia(body: Any, pseudo_inertia: np.ndarray) -> None:
     mass = pseudo_inertia[3, 3]
-    if mass <= 0.0:
-        raise InputError(f"a MuJoCo model needs links with mass, but that of {body.name} is {mass:g} kg.")
     center = pseudo_inertia[:3, 3] / mass
     second = pseudo_inertia[:3, :3] - mass * np.outer(center, center)
     inertia = np.trace(second) * np.eye(3) - second

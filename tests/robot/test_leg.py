@@ -1,11 +1,8 @@
 """The leg's numbers: against each other, against the golden file, and what no leg can have is refused."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from leg_reference import GOLDEN
-from opponents import make_mjspec
 
 from humanoid_mjx import InputError, Leg
 from humanoid_mjx.robot.leg import corrected_inertias, cylinder_inertias, script_inertias
@@ -76,14 +73,6 @@ def test_what_no_leg_has_is_refused(change, words):
     values = {"lengths": thesis.LINK_LENGTHS, "pseudo_inertia": cylinder_inertias()} | change
     with pytest.raises(InputError, match=words):
         Leg.from_links(**values)
-
-
-def test_mujoco_refuses_what_it_cannot_simulate():
-    leg = Leg.physical()
-    with pytest.raises(InputError, match="mass"):
-        make_mjspec(leg.scaled(jnp.array([1.0, 1.0, 0.0, 1.0, 1.0])))
-    with pytest.raises(InputError, match="one chain"):
-        make_mjspec(jax.vmap(leg.scaled)(jnp.ones(2)))
 
 
 def test_a_chain_without_a_last_mass_carries_nothing():
