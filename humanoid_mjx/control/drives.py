@@ -77,17 +77,11 @@ class DcMotor(Drive):
 
     def __call__(self, torque: Joints, qvel: Joints) -> Joints:
         """The torques within the driver's current and voltage (5.21 to 5.24)."""
-        limit = self.gears * self.torque_constant * self.current
-        needed = self.voltage_for(jnp.clip(torque, -limit, limit), qvel)
-        speed = self.gears * qvel
-        current = (jnp.clip(needed, -self.voltage, self.voltage) - self.torque_constant * speed) / self.resistance
+        limit, speed = self.gears * self.torque_constant * self.current, self.gears * qvel
+        needed = (jnp.clip(torque, -limit, limit) / self.gears + self.friction * speed) / self.torque_constant
+        voltage = self.torque_constant * speed + needed * self.resistance
+        current = (jnp.clip(voltage, -self.voltage, self.voltage) - self.torque_constant * speed) / self.resistance
         return self.gears * (self.torque_constant * current - self.friction * speed)
-
-    def voltage_for(self, torque: Float[Array, "*joints"], qvel: Float[Array, "*joints"]) -> Float[Array, "*joints"]:
-        """Return the voltage that gives `torque` at the joint (5.24), before the driver's limit."""
-        speed = self.gears * qvel
-        current = (torque / self.gears + self.friction * speed) / self.torque_constant
-        return self.torque_constant * speed + current * self.resistance
 
     def check(self, robot: Robot, timestep: float) -> None:
         gear, joints = np.asarray(self.gear, float), len(robot.joints)
