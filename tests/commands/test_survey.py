@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from humanoid_mjx.commands.info import survey
 from humanoid_mjx.physics import make_physics
-from humanoid_mjx.physics.survey import survey
 from humanoid_mjx.robot import Robot
 from humanoid_mjx.spec import InputError
 
