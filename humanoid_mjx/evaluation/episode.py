@@ -18,7 +18,7 @@ from humanoid_mjx.evaluation.policy import StoredPolicy
 from humanoid_mjx.learners import Learner
 from humanoid_mjx.learners.rollout import MAX_EPISODE_STEPS, decide, decision_keys, greedy, start
 from humanoid_mjx.physics.base import Controller, Physics, World, worlds_in
-from humanoid_mjx.robot import Robot
+from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.continuous import State
@@ -67,11 +67,7 @@ def robot_of(trained: StoredPolicy) -> mujoco.MjModel:
     task: Any = trained.learner.task
     simulator = getattr(task, "simulator", None)
     if isinstance(simulator, Physics) and isinstance(getattr(task, "period", None), float):
-        model = getattr(simulator, "model", None)
-        if isinstance(model, mujoco.MjModel):
-            return model
-        if isinstance(robot := getattr(simulator, "robot", None), Robot):
-            return robot.model
+        return simulator.model if isinstance(simulator, MujocoPhysics) else simulator.robot.model
     raise InputError(
         f"{trained.name}: its task {trained.config.task['name']} moves no robot: it has no `simulator` and `period`, "
         "as posture_switch does."
