@@ -17,7 +17,7 @@ from humanoid_mjx.evaluation.live import SPEEDS, Grab, Live
 from humanoid_mjx.report.scene import make_scene, player, posed, poses, rounded, scene_data, shape_of
 from humanoid_mjx.report.server import LOOPBACK, Server
 from humanoid_mjx.report.web import page
-from humanoid_mjx.robot.description import two_digits
+from humanoid_mjx.robot.description import below, two_digits
 from humanoid_mjx.robot.touching import pairs_of
 from humanoid_mjx.spec import InputError
 from humanoid_mjx.tasks.legged.events import Push
@@ -346,11 +346,9 @@ def _scales(live: Live) -> dict[str, Scale]:
 def _legs(live: Live) -> dict[str, list[str]]:
     """Names of the joints with a motor between the world and each foot."""
     model, legs = live.model, {}
+    joints = model.actuator_trnid[:, 0]
     for foot in live.feet:
-        chain = [model.body(foot).id]
-        while chain[-1]:
-            chain.append(int(model.body_parentid[chain[-1]]))
-        moved = [joint for joint in model.actuator_trnid[:, 0] if model.jnt_bodyid[joint] in chain]
+        moved = joints[below(model)[model.jnt_bodyid[joints], model.body(foot).id] > 0]
         legs[f"leg of {foot}"] = [model.joint(joint).name for joint in moved]
     return legs
 
