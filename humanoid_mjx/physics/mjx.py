@@ -20,7 +20,7 @@ from humanoid_mjx.physics.base import Controller, Poses, Sensed, Velocities, Wor
 from humanoid_mjx.physics.model import MujocoPhysics
 from humanoid_mjx.robot.description import IMU, below, ground_points
 from humanoid_mjx.robot.mjcf import of_field
-from humanoid_mjx.robot.touching import SURPLUS_WORDS, touching
+from humanoid_mjx.robot.touching import FLAGS, SURPLUS_WORDS, touching, word
 from humanoid_mjx.spec import InputError, package
 from humanoid_mjx.types import AnyArray
 
@@ -69,6 +69,9 @@ class MjxJax(MujocoPhysics):
         if self.implementation == "jax":
             found = [words for field in IGNORED if (words := of_field(m, field, getattr(m, field, ())))]
             found += ["noslip iterations"] * bool(m.opt.noslip_iterations)
+            fast = m.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+            other = m.opt.integrator and not (fast and not m.opt.disableflags & FLAGS.mjDSBL_EULERDAMP)
+            found += [f"the {word(mujoco.mjtIntegrator, m.opt.integrator)} integrator"] * bool(other)
             found += [SURPLUS_WORDS] * any(pair.surplus for pair in touching(m))
             if found:
                 raise ValueError(f"robot: MJX in jax does not compute {'; '.join(found)}: take mujoco")

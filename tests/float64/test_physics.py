@@ -57,11 +57,20 @@ def test_a_squat_on_the_ground_agrees(both):
 
 class Unequal(Robot):
     motors: str = ""
+    integrator: int = 0
 
     def spec(self, timestep=None):
         spec = mujoco.MjSpec.from_string(UNEQUAL.replace("</actuator>", self.motors + "</actuator>"))
         spec.option.timestep = timestep or spec.option.timestep
+        spec.option.integrator = self.integrator
         return spec
+
+
+@pytest.mark.parametrize(("integrator", "name"), [(1, "rk4"), (2, "implicit"), (3, "implicitfast")])
+def test_mjx_refuses_what_its_euler_does_not_integrate(integrator, name):
+    """As the model takes damping at the beginning of a step, which implicitfast does not."""
+    with pytest.raises(InputError, match=f"MJX in jax does not compute the {name} integrator: take mujoco"):
+        make_physics("mjx-jax", robot=Unequal(integrator=integrator))
 
 
 @pytest.mark.parametrize("name", ["tree", "mjx-jax", "mujoco"])
