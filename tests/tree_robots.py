@@ -26,7 +26,7 @@ def converged(model: mujoco.MjModel) -> mujoco.MjModel:
     motors are torques of their joints."""
     model.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     model.actuator_gear[:, 0] = model.actuator_gainprm[:, 0] = 1.0
-    model.actuator_ctrllimited[:] = model.actuator_forcelimited[:] = 0
+    model.actuator_ctrllimited[:] = model.actuator_forcelimited[:] = model.jnt_actfrclimited[:] = 0
     model.actuator_biasprm[:] = 0.0
     model.opt.tolerance, model.opt.ls_tolerance, model.opt.iterations, model.opt.ls_iterations = 0.0, 1e-12, 100, 100
     return model

@@ -142,6 +142,7 @@ class MjxJax(MujocoPhysics):
             pair_friction=model.pair_friction.at[:, :2].multiply(self.friction),
             actuator_ctrlrange=model.actuator_ctrlrange * jnp.asarray(self.torque_limit, float),
             actuator_forcerange=model.actuator_forcerange * jnp.asarray(self.torque_limit, float),
+            jnt_actfrcrange=model.jnt_actfrcrange * jnp.asarray(self.torque_limit, float),
         )
 
     def _blank_data(self) -> Any:

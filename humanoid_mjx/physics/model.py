@@ -18,7 +18,7 @@ from humanoid_mjx.mechanics.tree.refusing import robot_faults
 from humanoid_mjx.physics.base import GroundContacts, Once, Physics, Poses, Readings, Sensed, Velocities, World
 from humanoid_mjx.robot import RobotKey, make_robot
 from humanoid_mjx.robot.description import compiled, ground_points, lowest
-from humanoid_mjx.robot.motors import motor_limits
+from humanoid_mjx.robot.motors import bounds, motors_on
 from humanoid_mjx.spec import traced
 from humanoid_mjx.types import AnyArray, MassFactor
 
@@ -94,10 +94,18 @@ class MujocoPhysics(Physics):
         return places(self.model.jnt_dofadr[self.model.actuator_trnid[:, 0]])
 
     def _within(self, torque: Any) -> Float[AnyArray, " joints"]:
-        """The torques that the motors give of these, N m."""
-        factor, torque = jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
-        bounds = {own: factor * own for own in motor_limits(self.model).tolist()}
-        return limited(torque, [bounds[own] for own in motor_limits(self.model).tolist()])
+        """The torques that the motors give of these, N m: each within its limit, all of a joint within the joint's."""
+        m, factor, torque = self.model, jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
+        own = [float(bounds(m, motor, alone=True)[1]) for motor in range(len(m.actuator_trntype))]
+        scaled = {limit: factor * limit for limit in own}
+        torque = limited(torque, [scaled[limit] for limit in own])
+        for joint in np.flatnonzero(m.jnt_actfrclimited).tolist():
+            if len(motors := motors_on(m, joint)):
+                total = torque[motors].sum()
+                most = jnp.clip(total, *(factor * end for end in m.jnt_actfrcrange[joint].tolist()))
+                shares = torque[motors] / jnp.where(total == 0.0, 1.0, total) if len(motors) > 1 else 1.0
+                torque = torque.at[motors].set(shares * most)
+        return torque
 
     def controls_for(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
         """Return the motors' controls for these torques of their joints, N m."""

@@ -207,6 +207,7 @@ class _Team:
         torques = base.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE
         model.actuator_ctrlrange[torques] = torque_limit * base.actuator_ctrlrange[torques]
         model.actuator_forcerange[:] = torque_limit * base.actuator_forcerange
+        model.jnt_actfrcrange[:] = torque_limit * base.jnt_actfrcrange
         if terrain:
             model.opt.gravity[:] = np.linalg.norm(base.opt.gravity) * -terrain.up(np)
 

@@ -133,10 +133,6 @@ class _File(_Team):
         self.rest = np.empty(mujoco.mj_stateSize(base, REST))
         mujoco.mj_getState(base, data, self.rest, REST)
 
-    def tune(self, model: mujoco.MjModel, numbers: np.ndarray) -> None:
-        super().tune(model, numbers)
-        model.jnt_actfrcrange[:] = numbers[self.base.nbody + 2] * self.base.jnt_actfrcrange
-
     def _shaped(self, terrain: None) -> mujoco.MjModel:
         """The file's model with sensors of the bodies' frames, the feet's contacts and the joints' torques."""
         if not self._robot.points:

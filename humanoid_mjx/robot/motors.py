@@ -68,9 +68,9 @@ def inputs(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
     return getattr(m, f"actuator_{kind}range")[motor] if limited else np.array([-np.inf, np.inf])
 
 
-def bounds(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
-    """Return an actuator's smallest and largest torque at its joint, N m, within that joint's own limit; infinite
-    without any."""
+def bounds(m: mujoco.MjModel, motor: Any, alone: bool = False) -> Float[np.ndarray, "2"]:
+    """Return an actuator's smallest and largest torque at its joint, N m, within that joint's own limit unless
+    `alone`; infinite without any."""
     span, gear, joint = np.array([-np.inf, np.inf]), m.actuator_gear[motor, 0], m.actuator_trnid[motor, 0]
     constant = m.actuator_gaintype[motor] == GAIN.mjGAIN_FIXED and m.actuator_biastype[motor] == BIAS.mjBIAS_NONE
     if constant:
@@ -78,7 +78,7 @@ def bounds(m: mujoco.MjModel, motor: Any) -> Float[np.ndarray, "2"]:
     if m.actuator_forcelimited[motor]:
         span = np.clip(span, *m.actuator_forcerange[motor])
     span = np.sort(gear * span) if gear else np.zeros(2)
-    held = np.isin(m.actuator_trntype[motor], ON_JOINTS) and m.jnt_actfrclimited[joint]
+    held = not alone and np.isin(m.actuator_trntype[motor], ON_JOINTS) and m.jnt_actfrclimited[joint]
     return np.clip(span, *m.jnt_actfrcrange[joint]) if held else span
 
 

@@ -123,3 +123,32 @@ ODD = (
 def test_a_motor_that_is_no_motor_of_a_joint_is_refused(odd):
     with pytest.raises(InputError, match=r"no physics takes the \w+ of motor 'odd' \(take"):
         make_physics("mujoco", robot=Unequal(motors=odd))
+
+
+class Pair(Robot):
+    """A joint with two motors and an uneven limit, and one with a motor whose own limit is above the joint's."""
+
+    def spec(self, timestep=None):
+        return mujoco.MjSpec.from_string("""<mujoco><worldbody><body>
+          <joint name="two" axis="0 1 0" actuatorfrcrange="-2.6 2"/><geom size=".1" pos="0 0 -.3" mass="1"/>
+          <body pos="0 0 -.4"><joint name="one" axis="0 1 0" actuatorfrcrange="-4 5"/>
+          <geom size=".1" pos="0 0 -.3" mass="1"/></body></body></worldbody>
+          <actuator><motor joint="two" ctrlrange="-6 6"/><motor joint="one"/>
+          <motor joint="two" gear="-2" forcerange="-2 2"/></actuator></mujoco>""")
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("name", ["tree", "mjx-jax", "mujoco"])
+def test_the_motors_of_a_joint_give_together_what_it_takes(name, factor):
+    """The motors of one joint against each other and together; what is reported is what acts."""
+    physics, model = make_physics(name, robot=Pair(), torque_limit=factor), Pair().spec().compile()
+    for limit in (model.actuator_ctrlrange, model.actuator_forcerange, model.jnt_actfrcrange):
+        limit *= factor
+    data, step = mujoco.MjData(model), jax.jit(lambda world, asked: physics.step(world, lambda _: asked))
+    for asked in ([1.0, 9.0, -1.5], [7.0, -9.0, -1.0], [-20.0, 0.5, 20.0], [-9.0, 3.0, -8.0], [1.0, 0.0, -1.0]):
+        mujoco.mj_resetData(model, data)
+        data.ctrl = np.array(asked) / [1.0, 1.0, -2.0]
+        mujoco.mj_step(model, data)
+        world, torque = step(physics.start(physics.qpos0, np.zeros(2)), np.array(asked))
+        np.testing.assert_allclose(world.qvel, data.qvel, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose([torque[0] + torque[2], torque[1]], data.qfrc_actuator, rtol=1e-12, atol=1e-12)

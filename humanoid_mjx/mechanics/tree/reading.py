@@ -53,10 +53,6 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
         feet=tuple(tuple(i for i, geom in enumerate(geoms) if geom == foot) for foot in feet),
         pairs=tuple(pairs),
         motors=tuple(model.jnt_dofadr[model.actuator_trnid[of_joints, 0]].tolist()),
-        bounds=tuple(
-            (int(model.jnt_dofadr[joint]), tuple(model.jnt_actfrcrange[joint].tolist()))
-            for joint in np.flatnonzero(model.jnt_actfrclimited)
-        ),
         gyroscopes=_sites(model, sensors, mujoco.mjtSensor.mjSENS_GYRO),
         accelerometers=_sites(model, sensors, mujoco.mjtSensor.mjSENS_ACCELEROMETER),
         gravity=(x, y, z),

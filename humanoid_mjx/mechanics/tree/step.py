@@ -96,8 +96,6 @@ def motor_forces(tree: Tree, torque: Any) -> list[Any]:
     forces = [jnp.zeros((1,), torque.dtype)] * sum(map(len, tree.dofs))
     for dof, one in zip(tree.motors, torque, strict=True):
         forces[dof] = forces[dof] + one
-    for dof, bounds in tree.bounds:
-        forces[dof] = jnp.clip(forces[dof], *bounds)
     return folded(jnp.stack(forces)[:, None], tree.dofs)
 
 

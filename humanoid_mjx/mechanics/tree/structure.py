@@ -245,8 +245,6 @@ class Tree(NamedTuple):
     pairs: tuple[Pairs, ...]
     motors: tuple[int, ...]
     """Places in `qvel` of the joints that motors drive."""
-    bounds: tuple[tuple[int, tuple[float, float]], ...]
-    """Places in `qvel` where the motors together are bounded, and between what, N m."""
     gyroscopes: tuple[Site, ...]
     accelerometers: tuple[Site, ...]
     gravity: tuple[float, float, float]
