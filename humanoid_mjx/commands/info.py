@@ -110,7 +110,7 @@ def _show_robot(name: str) -> None:
     others = ", others as the model says" * (getattr(robot, "contacts", "") == "model")
     lines["contacts"] = f"{robot.model.npair} with the ground{others}"
     refused = [f"{fault.what} (take {fault.change})" for fault in faults(robot.model, IMU)]
-    lines["physics"] = f"tree refuses {'; '.join(refused)}: take mujoco or mjx-jax" if refused else "tree takes it"
+    lines["physics"] = f"tree refuses {'; '.join(refused)}: take mujoco, or try mjx-jax" if refused else "tree takes it"
     if robot.servo and robot.points:
         lines["servo"] = "\n          ".join(in_words(robot))
         config = "walk_humanoid" if len(robot.feet) == 2 and robot.leg_length > QUICK_LEGS else "walk"

@@ -262,7 +262,8 @@ class Robot(Named):
         balls, _ = ground_points(self.model)
         names = [self.model.body(self.model.geom_bodyid[ball]).name for ball in balls]
         if self.feet and names != [foot for foot in self.feet for _ in range(self.points)]:
-            raise ValueError(f"feet must have equally many balls that feel the ground, foot by foot, got {names}")
+            each = "a ball gives one, a capsule two, a box or mesh four; name geoms that give each foot as many"
+            raise ValueError(f"feet must have equally many balls that feel the ground, got {names}: {each}")
         if self.feet:
             _stance(self)
             images("feet", self.feet, self.mirror, _names(self.model))

@@ -57,7 +57,7 @@ def test_joints_that_are_refused(words):
     xml = f"<mujoco>{{}}<worldbody>{body}</worldbody></mujoco>"
     with pytest.raises(InputError) as error:
         read_tree(mujoco.MjModel.from_xml_string(xml.format("")))
-    assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco or mjx-jax."
+    assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco, or try mjx-jax."
     if "spring" in words:
         read_tree(mujoco.MjModel.from_xml_string(xml.format('<option><flag spring="disable"/></option>')))
 
@@ -100,7 +100,7 @@ def test_models_that_are_refused(words, old, new):
         changed = changed.replace('type="capsule" ' + ROUND, 'type="cylinder" ' + ROUND)
     with pytest.raises(InputError) as error:
         read_tree(mujoco.MjModel.from_xml_string(changed))
-    assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco or mjx-jax."
+    assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco, or try mjx-jax."
 
 
 def test_all_that_is_refused_is_said_at_once():
@@ -112,7 +112,7 @@ def test_all_that_is_refused_is_said_at_once():
     words += "contacts that resist twisting or rolling, as those of 'ground' and 'shank' (2)"
     with pytest.raises(InputError) as error:
         read_tree(mujoco.MjModel.from_xml_string(changed))
-    assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco or mjx-jax."
+    assert str(error.value) == f"physics: the tree cannot represent {words}: take mujoco, or try mjx-jax."
 
 
 def test_a_controller_that_uses_all_that_it_is_given_moves_as_in_native_mujoco(worlds):

@@ -433,4 +433,4 @@ def test_info_shows_a_robot_and_its_keys(tmp_path):
     (tmp_path / "dog.xml").write_text((tmp_path / "dog.xml").read_text().replace("<freejoint/>", CHANGED))
     with console.capture() as shown:
         show_info(str(tmp_path / "pet.yaml"), (), False)
-    assert "tree refuses" in shown.get() and "take mujoco or mjx-jax" in " ".join(shown.get().split())
+    assert "tree refuses" in shown.get() and "take mujoco, or try mjx-jax" in " ".join(shown.get().split())

@@ -245,6 +245,7 @@ def test_ground_that_is_no_level_plane_is_refused(pairs, words, tmp_path):
         ([], YAML.replace("base.xml", '"a\\0b"'), "model must be the path of an MJCF, got 'a.x00b'"),
         ([], YAML.replace("base.xml", "."), "model must be the path of an MJCF, got '.'"),
         ([], YAML.replace("]", ", foot_0_0]"), "feet: 'foot_0_0' stands there twice"),
+        ([], YAML.replace("foot_1_1", "trunk"), "a box or mesh four; name geoms that give each foot as many"),
         ([], YAML + "mirror: {x: y}", "mirror: no body, joint or geom has 'x' in its name"),
         ([], YAML + "turns: [-1, 0.5, 0.2, 1]", "turns"),
         ([('name="hip" ', "")], YAML, "model: a joint that moves has no name; write name="),

@@ -33,7 +33,7 @@ def read_tree(model: mujoco.MjModel, sensors: Sequence[str] = (), feet: Sequence
     """
     if found := faults(model, sensors):
         what = "; ".join(fault.what for fault in found)
-        raise InputError(f"physics: the tree cannot represent {what}: take mujoco or mjx-jax.")
+        raise InputError(f"physics: the tree cannot represent {what}: take mujoco, or try mjx-jax.")
     free = np.flatnonzero(model.jnt_type == JOINT.mjJNT_FREE)
     ground, geoms, pairs = _contacts(model)
     feet = tuple(dict.fromkeys(geoms)) if feet is None else feet
