@@ -36,6 +36,7 @@ from humanoid_mjx.training.pace import MEASURED_S, estimate, time_in_words
 from humanoid_mjx.training.plan import make_plan
 from humanoid_mjx.training.programs import why_no_kernel
 from humanoid_mjx.training.progress import Bar, counted
+from humanoid_mjx.training.sweep import check_later
 
 
 def show_keys(name: str | None) -> None:
@@ -234,6 +235,7 @@ def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None
 def _show_plan(config: str, overrides: Sequence[str], timed: bool) -> None:
     """A config in full, and what its sweep will take; where `timed` also how long."""
     plan = make_plan(load(config, overrides))
+    check_later(plan.config)
     console.print(dump_yaml(plan.resolved()).rstrip())
     _print_rows("", [HEADINGS, *dict.fromkeys(row for own in plan.learners for row in differences_of(own.task))])
     size = sum(group.bytes * len(group.first_runs) for group in plan.groups)

@@ -237,7 +237,7 @@ def run_path(name: str, resume: bool = False, root: Path = Path("runs")) -> Path
     form, paths = re.compile(rf"{re.escape(name)}(?:-(\d+))?"), root.iterdir() if root.is_dir() else ()
     numbers = [int(match[1] or 1) for path in paths if (match := form.fullmatch(path.name))]
     if resume and not numbers:
-        raise InputError(f"{root / name}: there is no run to resume.")
+        raise InputError(f"{root / name}: there is no run to resume; leave resume out to begin one.")
     number = max(numbers, default=0) + (not resume)
     return root / (name if number == 1 else f"{name}-{number}")
 

@@ -9,6 +9,7 @@ from small_sweep import CONFIG, assert_same_tables, write_config
 
 from humanoid_mjx import InputError
 from humanoid_mjx.commands import slurm
+from humanoid_mjx.commands.info import show_info
 from humanoid_mjx.config import parse
 from humanoid_mjx.runs.listing import list_runs
 from humanoid_mjx.training.sweep import Run, sweep
@@ -106,6 +107,8 @@ def test_what_cannot_be_is_said_before_anything_trains(then, words, tmp_path):
     with pytest.raises(InputError, match=words):
         sweep(CONFIG | {"then": then}, tmp_path / "run", quiet=True)
     assert not (tmp_path / "run").exists()
+    with pytest.raises(InputError, match=words.removeprefix("config: ")):
+        show_info(write_config(tmp_path, then=then), (), False)
 
 
 def test_an_axis_of_runs_to_start_from_would_undo_it(moved):
