@@ -102,9 +102,8 @@ def axis_values(name: str, axis: Axis) -> list:
     if kind == "logspace" and not (low > 0 and high > 0):
         raise InputError(f"sweep.axes.{name}: logspace needs ends above 0, got {shown(low)} and {shown(high)}.")
     values = (np.linspace if kind == "linspace" else np.geomspace)(low, high, count)
-    near = np.rint(values)
-    whole = isinstance(low, int) and isinstance(high, int) and np.allclose(values, near, rtol=1e-12, atol=0)
-    return [int(v) for v in near] if whole else values.tolist()  # for keys that take integers
+    whole = np.isclose(values, np.rint(values), rtol=1e-12, atol=0) & isinstance(low, int) & isinstance(high, int)
+    return [round(v) if is_whole else v for v, is_whole in zip(values.tolist(), whole, strict=True)]  # keys of integers
 
 
 def _draw(rng: np.random.Generator, name: str, axis: Axis, count: int) -> list:

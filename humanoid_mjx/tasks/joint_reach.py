@@ -54,7 +54,7 @@ class JointReach(FiniteTask):
         if self.action == 0:
             raise ValueError("action must be a non-zero number of degrees")
         moves = (self.goal - self.start) / self.action
-        if moves < 0 or not math.isfinite(moves) or abs(moves - round(moves)) > 1e-6:
+        if moves < 0.5 or not math.isfinite(moves) or abs(moves - round(moves)) > 1e-6:
             raise ValueError(
                 f"from {self.start:g} the goal {self.goal:g} cannot be hit in steps of {self.action:g} degrees; "
                 f"the distance {self.goal - self.start:g} must be a whole multiple of action"

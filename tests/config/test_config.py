@@ -103,6 +103,10 @@ BAD = {
     ),
     "a list of seeds": ("episodes: 20", "episodes: 20\nseeds: [1, 2]", ["seeds must be a valid integer, got [1, 2]."]),
     "an axis of too many values": ("[0.1, 0.2]", "{linspace: [0, 1, 2000000000]}", ["from 1 to 100,000"]),
+    "an axis of which a value is no integer": (
+        "learner.epsilon: [0.1, 0.2]", "task.states: {linspace: [10, 13, 3]}",
+        ["task.states must be a valid integer, got 11.5"],
+    ),
     "a task that the learner cannot learn": (
         "{name: joint_reach, joint: 5, states: 13}", "{name: leg_reach}",
         ["learner.name: tabular_q learns finite tasks, which leg_reach is not; "
@@ -115,6 +119,7 @@ BAD = {
     "axis value out of range": ("[0.1, 0.2]", "[0.1, 2.0]", ["learner.epsilon", "at most 1", "2.0"]),
     "axis of another shape": ("[0.1, 0.2]", "{linspace: [0, 1]}", ["linspace takes 3", "learner.epsilon"]),
     "goal that is not hit": ("states: 13", "action: 7", ["task", "goal 40", "steps of 7"]),
+    "a step far beyond the goal": ("states: 13", "action: 1.0e+12", ["goal 40 cannot be hit in steps of 1e+12"]),
     "record above episodes": ("record: 10", "record: 30", ["record", "at most episodes"]),
     "tags": ("epsilon: 0.5", "epsilon: !!python/object:os.system 1", ["plain YAML", "line 4"]),
     "a number of base 8": ("episodes: 20", "episodes: 020", ["020 is 16 to YAML; write 16, the number that you mean"]),
