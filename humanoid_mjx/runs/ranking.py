@@ -171,7 +171,10 @@ def compared(mode: str, axes: Sequence[str], summary: Mapping[str, np.ndarray], 
             found = by_point(summary, name)[1] * (-1 if name.endswith("steps") else 1)
             if not measure or np.ptp(np.nan_to_num(found[left].mean(axis=1))) > SAME:
                 measure, values = name, found
-            left[left] = statistics.not_worse(found[left], statistics.ERROR / len(names))
+            means = np.nan_to_num(found.mean(axis=1), nan=-np.inf)
+            first = left & best if (left & best).any() else left
+            lower = left & (means <= means[first].max(initial=-np.inf))  # above the table's first is as good
+            left[lower] = statistics.not_worse(found[lower], statistics.ERROR / len(names))
         known = whole & np.isfinite(values).all(axis=1)
         as_good = frozenset(points[left | best].tolist())
         if not known.any():
@@ -243,7 +246,7 @@ def in_words(axes: Sequence[str], points: Sequence[Ranked], found: Compared) -> 
     else:
         equal = f"{policy:,} of {of}, itself among them, are not told apart from it"
         equal = equal if policy > 1 else "better than all other points"
-        these = f"{learning:,} of these are not" if learning > 1 else "it is the best of these"
+        these = f"{learning:,} of these are as good" if learning > 1 else "it is the best of these"
         then = f", and {these} by {second}" if second and policy > 1 else ""
         told = f"best: {best}{_at_ends(axes, points)}; {equal} by {first}{then}"
     if min(len(found.policy.matters), len(axes)) < 2:

@@ -260,7 +260,7 @@ def test_a_sweep_in_which_no_episode_ended_is_judged_by_greedy_episodes():
 
 @pytest.mark.parametrize(
     ("slower", "words"),
-    [(1.0, "and it is the best of these by steps over"), (0.0, "and 4 of these are not by steps over")],
+    [(1.0, "and it is the best of these by steps over"), (0.0, "and 4 of these are as good by steps over")],
 )
 def test_of_policies_alike_the_one_that_learned_sooner_is_best(slower, words):
     rng, axes = np.random.default_rng(5), ["learner.epsilon", "learner.rate"]
@@ -270,6 +270,18 @@ def test_of_policies_alike_the_one_that_learned_sooner_is_best(slower, words):
     assert f"from it by success of greedy episodes, {words} all of training." in in_words(
         axes, ranked(axes, summary, quickest=True), found
     )
+
+
+def test_no_point_that_learned_sooner_than_the_first_is_called_slower():
+    """The first succeeds most often, which its seeds cannot tell, and learned neither first nor last."""
+    axes, (steps, noise) = ["learner.epsilon"], (np.array([83.0, 54.0, 75.0, 95.0]), np.array([-1.0, 0.0, 1.0, 0.5]))
+    summary = summary_of(np.array([[1.0] * 4, [1, 0, 1, 1], [1, 1, 0, 1], [1, 1, 1, 0]]).reshape(4, 1, 4), 4)
+    summary["whole_steps"] = (steps[:, None] + noise).ravel()
+    found, points = compared("grid", axes, summary, quickest=True), ranked(axes, summary, quickest=True)
+    assert points[0].point == 0 and found.policy.as_good == {0, 1, 2, 3}
+    said = {int(row[0]): row[-1] for row in best_table(axes, summary, points, True, found)[1]}
+    assert said == {0: "yes", 1: "yes", 2: "yes", 3: "slower, +12 to +12"}
+    assert "3 of these are as good by steps over all of training" in in_words(axes, points, found)
 
 
 def test_a_sweep_that_is_not_over_compares_what_is():
