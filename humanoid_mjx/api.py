@@ -33,7 +33,7 @@ from humanoid_mjx.learners.tabular import TabularQ
 from humanoid_mjx.report.web import MEDIA, data_address
 from humanoid_mjx.runs.folder import read_config
 from humanoid_mjx.runs.statistics import Evaluation
-from humanoid_mjx.spec import InputError, check_count, check_folder, shown
+from humanoid_mjx.spec import InputError, check_count, check_folder, kinds, ships, shown
 from humanoid_mjx.tasks.base import Task
 from humanoid_mjx.tasks.check import check_task
 from humanoid_mjx.tasks.continuous import ContinuousTask, State, as_continuous
@@ -69,6 +69,7 @@ class Policy(Generic[W_co]):
         policies.check_single(self.learner)
         if isinstance(obs, State):
             raise InputError("policy: this is a state; write policy(policy.observation(state), key).")
+        _check_observation(self.learner, obs)
         return _act(self, obs, key)
 
     def observation(self, state: State) -> Array:
@@ -156,6 +157,10 @@ def train(learner: Learner, key: Key[Array, ""]) -> Trained[Any]:
             f"train: write train(learner, key(0)); {type(learner).__name__} is no learner of make_learner."
         )
     check_key("train", key)
+    for path, leaf in jax.tree_util.tree_leaves_with_path(learner) if all(map(ships, kinds(learner))) else ():
+        if np.shape(leaf) or isinstance(leaf, str):
+            name, what = jax.tree_util.keystr(path)[1:], "train(learner.replace(...), key)"
+            raise InputError(f"train: {name} must be one number, got {shown(leaf)}; map {what} over many by jax.vmap.")
     check_task(learner.task)
     program.check_learner(learner)
     return _train(learner, key)
@@ -171,6 +176,22 @@ def _train(learner: Learner, key: Key[Array, ""]) -> Trained[Any]:
     )
     found = program.finish(learner, last, jax.random.fold_in(key, 1))
     return Trained(Policy(learner, found["policy"]), found["curve"], found["final"], last.carry)
+
+
+def _check_observation(learner: Learner, obs: Any) -> None:
+    """Raise an InputError if a learner of this package takes no such observation. Under `jax.jit` and `jax.vmap` the
+    row of a table is not known."""
+    array = jnp.asarray(obs if isinstance(obs, jax.Array | np.ndarray | np.generic | int) else np.nan)
+    if isinstance(learner, TabularQ):
+        rows, shape, kind = learner.task.num_states, (), jnp.integer
+        wanted = f"the row of a table, an integer from 0 to {rows - 1}"
+    else:
+        rows, shape, kind = np.inf, (learner.env.observation_size,), jnp.number
+        wanted = f"numbers of shape {shape}"
+    fits = jnp.issubdtype(array.dtype, kind) and array.shape[-1:] == shape
+    if ships(type(learner)) and not (fits and (shape or isinstance(array, Tracer) or 0 <= int(array) < rows)):
+        got = f"{array.dtype}{list(array.shape)}" if array.ndim else shown(obs)
+        raise InputError(f"policy: an observation is {wanted}, got {got}; map over many by jax.vmap.")
 
 
 @jax.jit

@@ -361,7 +361,7 @@ SHOWN_LETTERS = 200
 
 def shown(value: Any) -> str:
     """Return a value that a user wrote as text, cut to `SHOWN_LETTERS`."""
-    text = repr(value)
+    text = repr(value).replace("\n", "")  # of arrays
     return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}..."
 
 

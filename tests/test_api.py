@@ -241,6 +241,16 @@ WRONG = {
     "rollout(task, lambda obs, key: jnp.where(obs > 0, -1, 1), key(0))": "below [2]; it returned [-1].",
     "rollout(reach, lambda obs, key: jnp.full(5, 1.5), key(0))": "or numbers from -1 to 1; it returned [1.5, 1.5,",
     "policy(policy.task.reset(key(0)), key(0))": "write policy(policy.observation(state), key).",
+    "policy(-1, key(0))": "policy: an observation is the row of a table, an integer from 0 to 7, got -1; map over many",
+    "policy(jnp.int32(8), key(0))": "an integer from 0 to 7, got Array(8, dtype=int32",
+    "policy(np.float32(3), key(0))": "an integer from 0 to 7, got np.float32(3.0)",
+    "policy(jnp.array([3]), key(0))": "an integer from 0 to 7, got int32[1]; map over many by jax.vmap",
+    "policy(True, key(0))": "an integer from 0 to 7, got True",
+    "policy(None, key(0))": "an integer from 0 to 7, got None",
+    "load_policy('stand')(jnp.zeros(40), key(0))": "policy: an observation is numbers of shape (41,), got float32[40]",
+    "load_policy('stand')([0.0] * 41, key(0))": "policy: an observation is numbers of shape (41,), got [0.0, 0.0,",
+    "train(table.replace(epsilon=jnp.array([0.1, 0.2])), key(0))": "train: epsilon must be one number, got Array",
+    "train(table.replace(task=task.replace(bonus='5')), key(0))": "train: task.bonus must be one number, got '5'; map",
     "policy.observation(task.reset(key(0)))": "policy.observation: take a state of policy.task.reset or .step, got",
     "make_learner('tabular_q', 'joint_reach')": "got 'joint_reach'; pass make_task('joint_reach').",
     "make_learner('tabular_q', type(task))": "pass JointReach(...).",
@@ -284,7 +294,7 @@ WRONG = {
 }
 PROGRAM = """
 import json, sys
-import jax, jax.numpy as jnp
+import jax, jax.numpy as jnp, numpy as np
 import humanoid_mjx
 from humanoid_mjx import InputError, Policy, key, load_policy, make_learner, make_task, rollout, train
 from humanoid_mjx.physics import make_physics
