@@ -149,6 +149,21 @@ def test_balls_and_capsules_that_touch_boxes_are_mujocos(pads):
     agree(model, [part[few] for part in at])
 
 
+@pytest.mark.parametrize(
+    ("foot", "plane"), [('margin="{}"', ""), ('contype="{}"', '<geom type="plane" size="0 0 1" pos="0 0 .02" {}/>')]
+)
+def test_limbs_of_one_build_differ_in_where_they_touch(foot, plane):
+    """In their margins, and in the planes that they touch."""
+    legs = "".join(
+        f"""<body pos="0 {side} 0"><joint axis="0 1 0" range="-60 60" limited="true" damping=".05"/>
+        <geom size=".05" pos="0 0 -.1" mass=".4" {foot.format(value)}/></body>"""
+        for side, value in ((-0.1, 2 if plane else 0.01), (0.1, 4 if plane else 0.002))
+    )
+    floor = '<geom type="plane" size="0 0 1" contype="0" conaffinity="3"/>'
+    agrees(f"""<mujoco><worldbody>{floor}{plane.format('contype="0" conaffinity="4"')}<body pos="0 0 0.2"><freejoint/>
+      <geom type="capsule" size=".03 .1" mass="1" contype="1" conaffinity="0"/>{legs}</body></worldbody></mujoco>""")
+
+
 def test_free_bodies_turn_by_runge_and_kuttas_method():
     agrees(HINGED.format(option='integrator="RK4" timestep="0.01"'), count=50, seed=1)
 

@@ -57,6 +57,10 @@ def _described(tree: Tree, limb: tuple[int, ...]) -> Any:
     return tuple(bodies), tuple(points)
 
 
+ONE: Any = {Softness: Softness._fields, Surface: ("margin",), GroundPoints: ("height",)}
+"""Numbers of which no table is made."""
+
+
 def _merge(things: Sequence[Any], laned: bool = False) -> Any:
     """Nested tuples of numbers as one: a table where they differ; if `laned`, with an axis of lanes behind."""
     first = things[0]
@@ -66,9 +70,11 @@ def _merge(things: Sequence[Any], laned: bool = False) -> Any:
         lanes = max(len(thing.values) if isinstance(thing, Table) else 1 for thing in things)
         rows = [thing.values if isinstance(thing, Table) else (thing,) * lanes for thing in things]
         return Table((len(things), lanes) if laned else (len(things),), sum(rows, ()))
-    if not isinstance(first, tuple) or isinstance(first, Softness):  # its numbers are no tables
+    if not isinstance(first, tuple):
         raise _Unlike
     if any(type(thing) is not type(first) or len(thing) != len(first) for thing in things):
+        raise _Unlike
+    if any(getattr(thing, name) != getattr(first, name) for thing in things for name in ONE.get(type(first), ())):
         raise _Unlike
     parts = [_merge(part, laned) for part in zip(*things, strict=True)]
     return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)
@@ -161,7 +167,5 @@ def _join_pairs(pairs: Sequence[Pairs]) -> Pairs:
     if len(set(map(type, ones))) > 1 or len(set(map(type, twos))) > 1:
         raise _Unlike
     surfaces = [p.surface for p in pairs for _ in p.ones] if len(pairs) > 1 else [first.surface]
-    if any(s.softness != surfaces[0].softness or s.margin != surfaces[0].margin for s in surfaces):
-        raise _Unlike
     surface: Surface = _merge(surfaces)
     return Pairs(ones, twos, surface)
