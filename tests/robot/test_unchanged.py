@@ -19,8 +19,9 @@ from humanoid_mjx.commands.info import show_info
 from humanoid_mjx.evaluation.policy import find_policy
 from humanoid_mjx.physics import make_physics
 from humanoid_mjx.physics.native import _team
-from humanoid_mjx.report import page
+from humanoid_mjx.report.web import table
 from humanoid_mjx.robot import make_robot
+from humanoid_mjx.robot.differences import HEADINGS, differences_of
 from humanoid_mjx.training import cost
 from humanoid_mjx.training.plan import Group
 
@@ -684,7 +685,7 @@ def test_info_and_the_report_show_the_table_and_mujocos_warnings(tmp_path, monke
         show_info("stand_cpu", (f"task.robot={name}",), False)
     assert "option timestep 0.002 0.004" in " ".join(shown.get().split())
     task = make_task("stand", robot=name, physics="mujoco")
-    assert "<td>option cone</td><td>elliptic</td><td>pyramidal</td>" in "".join(page._differences(task))
+    assert "<td>option cone</td><td>elliptic</td><td>pyramidal</td>" in table(HEADINGS, differences_of(task))
 
 
 def test_warnings_of_mujoco_are_not_raw_lines(tmp_path, recwarn):
