@@ -19,7 +19,7 @@ from humanoid_mjx.physics.base import GroundContacts, Once, Physics, Poses, Read
 from humanoid_mjx.robot import RobotKey, make_robot
 from humanoid_mjx.robot.description import compiled, ground_points, lowest
 from humanoid_mjx.robot.motors import bounds, motors_on
-from humanoid_mjx.spec import traced
+from humanoid_mjx.spec import InputError, shown, traced
 from humanoid_mjx.types import AnyArray, MassFactor
 
 
@@ -98,6 +98,8 @@ class MujocoPhysics(Physics):
         m, factor, torque = self.model, jnp.asarray(self.torque_limit, float), jnp.asarray(torque, float)
         own = [float(bounds(m, motor, alone=True)[1]) for motor in range(len(m.actuator_trntype))]
         scaled = {limit: factor * limit for limit in own}
+        if jnp.shape(torque) != (len(own),):
+            raise InputError(f"the controller must return a torque of each of {len(own)} joints, got {shown(torque)}.")
         torque = limited(torque, [scaled[limit] for limit in own])
         for joint in np.flatnonzero(m.jnt_actfrclimited).tolist():
             if len(motors := motors_on(m, joint)):
@@ -198,6 +200,9 @@ class MujocoPhysics(Physics):
         return sensordata[places(np.array([a for s in sensors for a in range(s.adr[0], s.adr[0] + s.dim[0])], int))]
 
     def start(self, qpos: Float[AnyArray, " nq"], qvel: Float[AnyArray, " nv"]) -> World:
+        shapes, wanted = (jnp.shape(qpos), jnp.shape(qvel)), ((self.model.nq,), (self.model.nv,))
+        if shapes != wanted:
+            raise InputError(f"start: qpos and qvel of one world have the shapes {wanted}, got {shapes}.")
         qvel = jnp.array(qvel, float)
         return World(jnp.array(qpos, float), qvel, jnp.zeros_like(qvel), jnp.bool_(False))
 

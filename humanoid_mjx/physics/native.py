@@ -82,7 +82,7 @@ class Native(MujocoPhysics):
         stages = self._stages(world, lambda: motion()[:2], lambda other: other._motion(world)[:2], contacts)
         torque = self._within(controller(stages))
         qpos, qvel, warmstart, sensordata = self._moved(world, torque, sensed)
-        return freeze_if_diverged(world, World(qpos, qvel, warmstart, jnp.bool_(False))), torque, sensordata
+        return freeze_if_diverged(world, World(qpos, qvel, warmstart, ~jnp.isfinite(torque).all())), torque, sensordata
 
     def _moved(self, world: World, torque: Float[Array, " joints"], sensed: bool) -> list[Array]:
         """Return position, velocity and acceleration after a time step, and the sensors' readings before it: none

@@ -145,6 +145,20 @@ def held_torso_torque(mass, damping, qpos, qvel, qacc):
     return data.qfrc_inverse[-joints:]
 
 
+@pytest.mark.parametrize("physics", [make_physics("tree"), MJX, NATIVE], ids=["tree", "mjx", "native"])
+def test_states_and_torques_of_a_wrong_size_are_refused_and_no_number_diverges(physics):
+    """Native MuJoCo takes 0 for torques that are no numbers."""
+    still = jnp.zeros(physics.model.nv)
+    with pytest.raises(InputError, match=r"start: qpos and qvel .* \(\(17,\), \(16,\)\), got \(\(17,\), \(17,\)\)"):
+        physics.start(physics.qpos0, physics.qpos0)
+    world = physics.start(physics.qpos0, still)
+    for torque in (jnp.zeros(9), 0.0):
+        with pytest.raises(InputError, match="the controller must return a torque of each of 10 joints, got"):
+            jax.eval_shape(lambda world, torque=torque: physics.step(world, lambda _: torque), world)
+    step = jax.jit(lambda world, torque: physics.step(world, lambda _: torque)[0].diverged)
+    assert step(world, jnp.zeros(10).at[3].set(jnp.nan)) and not step(world, jnp.zeros(10))
+
+
 @pytest.mark.parametrize("name", ["chain", "tree", "mjx-jax", "mujoco"])
 def test_what_a_branch_asks_for_first_is_there_behind_it_too(name):
     """It is made when asked for, and what a branch makes must not leave it: jax refuses to trace what leaks."""
