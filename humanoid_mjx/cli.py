@@ -86,8 +86,10 @@ def info(
     """Show devices, versions and what ships; with CONFIG, the resolved config, its points, and what memory, disk and
     time they take; with ROBOT.xml, its joints, motors, feet and contacts, and all that `physics: tree` cannot represent
     (exit 2 if anything)."""
-    from humanoid_mjx.commands.info import show_info, show_keys, show_model
+    from humanoid_mjx.commands.info import check_plain, show_info, show_keys, show_model
 
+    if keys or (name and name.endswith((".xml", ".urdf"))):
+        check_plain(set_ or [], time)
     if name and name.endswith((".xml", ".urdf")):
         raise typer.Exit(0 if show_model(name) else 2)
     with trusting(trust or ":" in (name or "")):

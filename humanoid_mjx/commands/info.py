@@ -210,20 +210,25 @@ def _joints(m: mujoco.MjModel) -> Iterator[str]:
         yield f"  {m.joint(index).name or f'joint {index}'}: {name}, {limits}, {', '.join(motors) or 'no actuator'}"
 
 
+def check_plain(overrides: Sequence[str], timed: bool) -> None:
+    """Raise an InputError if there are options of a config, where none is shown."""
+    if overrides or timed:
+        raise InputError(f"info {'--set' if overrides else '--time'}: name a config, and leave --keys out.")
+
+
 def show_info(config: str | None, overrides: Sequence[str], timed: bool) -> None:
     """`humanoid-mjx info`."""
     compute.start()
-    if config is not None:
-        if config in ROBOTS or describes_robot(config):
-            _show_robot(config)
-        elif config in {*TASKS, *LEARNERS}.difference(names("configs", ".yaml")):
-            show_keys(config)
-        else:
-            _check_name(config)
-            _show_plan(config, overrides, timed)
+    robot = config is not None and (config in ROBOTS or describes_robot(config))
+    part = config in {*TASKS, *LEARNERS}.difference(names("configs", ".yaml"))
+    if config is not None and not robot and not part:
+        _check_name(config)
+        _show_plan(config, overrides, timed)
         return
-    if timed:
-        raise InputError("info --time: name the config whose sweep to time.")
+    check_plain(overrides, timed)
+    if config is not None:
+        _show_robot(config) if robot else show_keys(config)
+        return
     for name, value in (compute.machine() | compute.versions()).items():
         console.print(f"{name:13} {value}")
     endings = {"configs": ".yaml", "policies": ".npz", "robots": ".yaml"}

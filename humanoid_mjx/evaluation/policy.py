@@ -278,7 +278,8 @@ def in_world(trained: StoredPolicy, physics: str | None, overrides: Sequence[str
     """
     if physics is not None:
         if "physics" not in type(trained.learner.task).model_fields:
-            raise InputError(f"--physics {physics}: the task {trained.config.task['name']} has no choice of physics.")
+            without = "leave --physics and --unmodified out"
+            raise InputError(f"the task {trained.config.task['name']} has no choice of physics; {without}.")
         overrides = [f"task.physics={physics}", *overrides]
     if not overrides:
         return trained

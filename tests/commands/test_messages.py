@@ -100,6 +100,11 @@ TYPED = {
     "play leg.urdf": "it is a URDF: humanoid-mjx info leg.urdf says",
     "info leg.urdf": "leg.urdf is a URDF, without a free joint and motors; docs/your_robot.md (From a URDF)",
     "info urdf.yaml": "urdf.yaml: model: leg.urdf is a URDF, without a free joint and motors; docs/your_robot.md",
+    "info --time": "info --time: name a config, and leave --keys out",
+    "info deep_q --set learner.epsilon=1": "info --set: name a config, and leave --keys out",
+    "info joint1 --keys --set seeds=3": "info --set: name a config",
+    "info three.xml --time": "info --time: name a config",
+    "info dog --set task.robot=go1": "info --set: name a config",
     "info lower_bodx": "did you mean 'lower_body'?",
     # the pair of task and learner comes first, then the unit of the length; no number is converted
     "sweep stand --set learner.name=tabular_q": "stand: learner.name: tabular_q learns finite tasks, which stand is "
