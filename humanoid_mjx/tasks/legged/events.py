@@ -16,7 +16,7 @@ class Push(Spec):
 
     impulse: float = traced(0.08182, ge=0, description="largest, in units of the robot's momentum at Froude number 1")
     least: float = traced(1.0, ge=0, le=1, description="smallest, as a share of `impulse`")
-    every: float = traced(2.0, gt=0, description="time between pushes, s")
+    every: float = traced(2.0, gt=0, description="time between pushes, s; not read with impulse 0")
 
     def first(self, key: Key[Array, ""]) -> FloatScalar:
         """Time of the first one, s."""
