@@ -100,14 +100,14 @@ class MujocoPhysics(Physics):
         scaled = {limit: factor * limit for limit in own}
         if jnp.shape(torque) != (len(own),):
             raise InputError(f"the controller must return a torque of each of {len(own)} joints, got {shown(torque)}.")
-        torque = limited(torque, [scaled[limit] for limit in own])
+        parts = list(limited(torque, [scaled[limit] for limit in own]))
         for joint in np.flatnonzero(m.jnt_actfrclimited).tolist():
-            if len(motors := motors_on(m, joint)):
-                total = torque[motors].sum()
-                most = jnp.clip(total, *(factor * end for end in m.jnt_actfrcrange[joint].tolist()))
-                shares = torque[motors] / jnp.where(total == 0.0, 1.0, total) if len(motors) > 1 else 1.0
-                torque = torque.at[motors].set(shares * most)
-        return torque
+            motors = motors_on(m, joint).tolist()
+            total = sum(parts[motor] for motor in motors)
+            most = jnp.clip(total, *(factor * end for end in m.jnt_actfrcrange[joint].tolist()))
+            for motor in motors:  # of one motor its share is all
+                parts[motor] = most * (parts[motor] / jnp.where(total == 0.0, 1.0, total) if len(motors) > 1 else 1.0)
+        return jnp.stack(parts) if parts else jnp.zeros(0)
 
     def controls_for(self, torque: Float[AnyArray, "*worlds joints"]) -> Float[AnyArray, "*worlds joints"]:
         """Return the motors' controls for these torques of their joints, N m."""
