@@ -61,7 +61,7 @@ class Worker:
         with suppress(RuntimeError):  # jax computes already
             jax.config.update("jax_num_cpu_devices", 1)
             os.environ["JAX_NUM_CPU_DEVICES"] = "1"
-        self.config, self.plan, self.work = parse(dict(config)), None, None
+        self.config, self.plan, self.work, self.leaves = parse(dict(config)), None, None, False
         self.engines: dict[int, Here] = {}
         """By the group of runs."""
         compute.start(mjx="mjx-jax" in self.config.physics)
@@ -81,6 +81,8 @@ class Worker:
                 self.engines[chunk.group] = Here(self.plan, groups=[chunk.group])
             for work in self.engines[chunk.group].works([chunk], given, every_s):
                 self.work = work
+                if self.leaves:
+                    return
                 events = work.events(look_s)
                 next(events)  # a note on how many train side by side
                 yield from events
@@ -92,7 +94,8 @@ class Worker:
             yield f"{in_words(error)}."
 
     def stop(self) -> list[Event]:
-        """Stop the training under way; return what it has to give."""
+        """Stop the training under way, or one that begins later; return what it has to give."""
+        self.leaves = True
         return self.work.stop() if isinstance(self.work, Work) else []
 
 
