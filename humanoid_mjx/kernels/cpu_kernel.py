@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from humanoid_mjx.files import read_sealed, write_sealed
-from humanoid_mjx.kernels.llvm import Code, Value, together
+from humanoid_mjx.kernels.llvm import WIDTH, Code, Value, together
 from humanoid_mjx.kernels.llvm_lowering import lower
 from humanoid_mjx.kernels.llvm_memory import Words
 from humanoid_mjx.kernels.memory import bits
@@ -40,9 +40,11 @@ def cpu_kernel(function: Callable[..., Any], *args: Any) -> Any:
     leaves, structure = jax.tree.flatten(args)
     known = signature(function, structure, tuple(Kind(leaf.shape[:-1], leaf.dtype) for leaf in leaves), False)
     worlds = leaves[0].shape[-1]
-    if (missing := together(worlds) - worlds) > 0:  # the last world fills up a vector
+    # The last world fills up a vector, also of a world alone: jax traces that, too, where it maps over many, and the
+    # function would be compiled twice.
+    if (missing := WIDTH - worlds) > 0:
         leaves = [jnp.concatenate([leaf, *[leaf[..., -1:]] * missing], axis=-1) for leaf in leaves]
-    found, _ = call(known, leaves, max(worlds, together(worlds)))
+    found, _ = call(known, leaves, max(worlds, WIDTH))
     return jax.tree.unflatten(jax.tree.structure(known.shapes), [x[..., :worlds] for x in found])
 
 

@@ -185,8 +185,7 @@ def everything(x, flag):
 @pytest.mark.parametrize(("worlds", "lanes"), [(1, 1), (5, 1), (64, 3), (70, 2)])
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_loops_branches_and_indices_are_those_of_xla(kernel, worlds, lanes):
-    """Rows of three and of two are lanes. A CPU computes one world in scalars, others in blocks of 16: a part of one,
-    four, and five that overlap."""
+    """Rows of three and of two are lanes. Blocks of a CPU are 16 worlds: parts of one, four, and five that overlap."""
     x = np.random.default_rng(worlds).normal(size=(3, worlds)).astype(np.float32)
     flag = x[0] > 0.3
     expected = jax.jit(everything)(x, flag)
@@ -268,10 +267,11 @@ def test_arithmetic_of_a_cpu_is_that_of_xla(case):
     def function(x):
         return NUMBERS[case](x[0], x[1])
 
-    kernel = jax.jit(partial(cpu_kernel, function))
-    for wanted, got, alone in zip(jax.jit(function)(x), kernel(x), kernel(x[:, 5:6]), strict=True):
+    assert worlds.why_not(function, (x.T,), (True,)) is None
+    of_one = jax.jit(jax.vmap(worlds.kernel(function), in_axes=-1))
+    jax.tree.map(np.testing.assert_array_equal, of_one(x[:, 5:6]), tuple(found[5:6] for found in of_one(x)))
+    for wanted, got in zip(jax.jit(function)(x), jax.jit(partial(cpu_kernel, function))(x), strict=True):
         assert got.dtype == wanted.dtype
-        np.testing.assert_array_equal(alone, got[5:6])
         # Functions of two libraries, some of them series; integers and flags are exact.
         real = got.dtype == np.float32
         np.testing.assert_allclose(got, wanted, rtol=5e-6 * real, atol=1e-6 * (case == "angles"))
