@@ -22,7 +22,7 @@ from humanoid_mjx.reproduction import (
 from humanoid_mjx.reproduction import decision_process as process
 from humanoid_mjx.reproduction import joint_ways as ways
 from humanoid_mjx.reproduction import workspace as space
-from humanoid_mjx.reproduction.findings import as_text, unprinted
+from humanoid_mjx.reproduction.findings import Setting, as_text, unprinted
 from humanoid_mjx.thesis import leg
 from humanoid_mjx.thesis import q_learning as thesis
 
@@ -204,6 +204,15 @@ def test_responses_are_those_of_scipy():
     for ratio, response in zip(ratios, found, strict=True):
         reference = lsim(([1.0], [1.0, 2.0 * ratio, 1.0]), np.ones_like(times), times)[1]
         np.testing.assert_allclose(response, reference, rtol=0, atol=1e-10)
+
+
+def test_gains_of_table_5_1_are_twice_overdamped(tmp_path):
+    ratios, critical = [1.985, 1.819, 2.003, 2.357, 2.032], [16.12, 16.49, 16.97, 16.12, 16.73]
+    np.testing.assert_allclose(gains._damping_ratios(), ratios, atol=5e-4)
+    for found, kd, pole in zip(
+        gains.table(Setting({}, tmp_path)), critical, [-2.18, -2.47, -2.27, -1.80, -2.20], strict=True
+    ):
+        assert f"times the critical {kd:.2f}: the slow pole is {pole:.2f} /s" in found.why
 
 
 def test_critical_damping_is_the_fastest_without_overshoot(monkeypatch):
