@@ -17,7 +17,7 @@ processors with shorter ones."""
 
 
 def together(worlds: int) -> int:
-    """Return how many of so many worlds are computed together."""
+    """Return the width of the code for this number of worlds."""
     return 1 if worlds == 1 else WIDTH
 
 

@@ -50,11 +50,10 @@ def _mapped(function: Callable[..., Any], structure: Any, many: tuple[bool, ...]
         if not any(many):
             return function(*structure.unflatten(leaves))
         if not fallback.why_none():
-            args, (together, call, _) = structure.unflatten(leaves), BACK_ENDS[jax.default_backend()]
+            args, (_, call, _) = structure.unflatten(leaves), BACK_ENDS[jax.default_backend()]
             try:
                 if not why_not(function, args, many):
-                    worlds = together(_worlds(leaves, many))
-                    return called(signature_of_one(function, args, many), args, worlds, call)
+                    return called(signature_of_one(function, args, many), args, _block(leaves, many), call)
             except Exception as error:  # whatever it is, XLA does not need it
                 fallback.warn(error)
         axes = [0 if own else None for own in many]
@@ -110,8 +109,8 @@ def why_not(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[boo
     """Return the reason why no kernel can do what a function does, if so; `many`: which leaves of `args`, arrays or
     their shapes, have a first axis of worlds."""
     try:
-        together, _, write = BACK_ENDS[jax.default_backend()]
-        write(signature_of_one(function, args, many), together(_worlds(jax.tree.leaves(args), many)))
+        write = BACK_ENDS[jax.default_backend()][2]
+        write(signature_of_one(function, args, many), _block(jax.tree.leaves(args), many))
     except NotImplementedError as reason:
         return str(reason)
     except Exception as error:  # whatever it is, XLA does not need it
@@ -119,8 +118,10 @@ def why_not(function: Callable[..., Any], args: tuple[Any, ...], many: tuple[boo
     return None
 
 
-def _worlds(leaves: Sequence[Any], many: tuple[bool, ...]) -> int:
-    return next(leaf.shape[0] for leaf, own in zip(leaves, many, strict=True) if own)
+def _block(leaves: Sequence[Any], many: tuple[bool, ...]) -> int:
+    """Return the number of worlds that a kernel of these arguments computes together; see `why_not`."""
+    worlds = next(leaf.shape[0] for leaf, own in zip(leaves, many, strict=True) if own)
+    return BACK_ENDS[jax.default_backend()][0](worlds)
 
 
 def one_world(function: Callable[..., Any], *static: Any) -> Callable[..., Any]:
